@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from midstride.cli.component_logs import LONGEST_TAIL, Appended, last_lines, log_files
+from midstride.runtime.process.log_runs import begin_run, run_begun
 from midstride.runtime.workspace import Workspace
-from tests.cli.conftest import Midstride
+from tests.cli.conftest import EXAMPLES, Midstride
 from tests.cli.statuses import component, crash, status
 
 
@@ -66,13 +67,68 @@ def workspace(folder: Path, **logs: str) -> Workspace:
     return Workspace(folder)
 
 
+RUNS = """before
+==== talker was started 2026-11-26 09:00:00 ====
+[INFO] [1795230947.628793895] [talker]: of the first
+==== talker was started 2026-11-26 10:00:00 ====
+[INFO] [1795230948.500000000] [talker]: of the second
+[INFO] [12.500000000] [talker]: in simulated time
+==== no line of ours ====
+"""
+
+
+def test_of_several_runs_in_a_log_the_latest_is_shown_in_local_time(midstride: Midstride) -> None:
+    folder = midstride.runtime / "midstride" / "patrol"
+    (folder / "logs").mkdir(parents=True)
+    (folder / "journal.db").touch()
+    (folder / "logs" / "talker.log").write_text(RUNS)
+    latest = [
+        f"[INFO] [{time.strftime('%H:%M:%S', time.localtime(1795230948))}.500] [talker]: of the second",
+        "[INFO] [12.500000000] [talker]: in simulated time",
+        "==== no line of ours ====",
+    ]
+    shown = midstride("logs", "talker")
+    assert (shown.status, shown.out.splitlines()) == (0, latest)
+    assert "(talker was started 2026-11-26 10:00:00; 1 earlier run: `midstride logs talker --all`)" in shown.err
+    assert midstride("logs", "talker", "-n", "2").out.splitlines() == latest[1:]
+    every = midstride("logs", "talker", "--all").out.splitlines()
+    assert every[:2] == ["before", "==== talker was started 2026-11-26 09:00:00 ===="] and every[-3:] == latest
+    documents = [json.loads(line) for line in midstride("logs", "talker", "--json").out.splitlines()]
+    assert documents[0]["line"] == "[INFO] [1795230948.500000000] [talker]: of the second"
+
+
+def test_the_begin_of_a_run_is_on_a_line_of_its_own(tmp_path: Path) -> None:
+    log = tmp_path / "a.log"
+    begin_run(log, "front/a")
+    with log.open("a") as file:
+        file.write("half a line")
+    begin_run(log, "front/a")
+    first, half, second = log.read_text().splitlines()
+    assert half == "half a line"
+    assert run_begun(first) is not None and run_begun(second) is not None and run_begun(half) is None
+    begin_run(tmp_path / "missing" / "a.log", "a")  # what starts the process reports it
+
+
+def test_a_restarted_node_does_not_show_what_ran_before(midstride: Midstride) -> None:
+    for _ in range(2):
+        assert midstride("up", str(EXAMPLES / "talker" / "talker.stride"), "--backend", "sim", "-d").status == 0
+        deadline = time.monotonic() + 30
+        while "I heard" not in midstride("logs", "listener").out:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        shown = midstride("logs", "listener").out
+        assert shown.count("listener is managed by") == 1 and "was started" not in shown
+        assert midstride("down").status == 0
+    whole = (midstride.runtime / "midstride" / "talker" / "logs" / "listener.log").read_text()
+    assert whole.count("==== listener was started") == whole.count("listener is managed by") == 2
+
+
 def test_the_end_of_a_long_log_is_read_and_no_more(tmp_path: Path) -> None:
     log = tmp_path / "a.log"
     log.write_text("".join(f"{number:09d}\n" for number in range(LONGEST_TAIL // 5)))
-    lines, end = last_lines(log, None)
+    lines, end = last_lines(log)
     assert end == log.stat().st_size and len(lines) == LONGEST_TAIL // 10
     assert lines[-1] == f"{LONGEST_TAIL // 5 - 1:09d}" and all(len(line) == 9 for line in lines[:100])
-    assert last_lines(log, 2)[0] == lines[-2:]
 
 
 def test_whole_lines_are_followed_also_where_a_log_is_shortened(tmp_path: Path) -> None:

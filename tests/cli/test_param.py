@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
 import pytest
+from immutables import Map
 
 from midstride.cli.change_options import misread, parse_value
+from midstride.cli.commands import param
 from midstride.cli.running_systems import not_running
+from midstride.lang import load_text
+from midstride.model.component import ParameterSection
 from tests.cli.conftest import Midstride, running
 from tests.cli.statuses import component, crash, status
 
@@ -253,3 +259,40 @@ def test_a_node_that_has_crashed_is_not_said_to_be_unknown() -> None:
     for node in ("talker", "talker_2"):
         assert str(not_running(crashed, node)) == f"talker_2 exited unexpectedly (status -9); {remedy}"
     assert str(not_running(crashed, "talkr")) == "no node talkr is running; did you mean `talker`?"
+
+
+def test_values_that_are_stated_and_not_reported_are_listed(monkeypatch: pytest.MonkeyPatch, run: Any) -> None:
+    """As of a program without parameter services, or that does not declare what its file states."""
+    text = """
+    system patrol
+    component Base { run "base" gate preload parameters { rate = 5 } }
+    node base : Base { parameters { rate = 7 } }
+    """
+    specification = load_text(text).require()
+    node = specification.nodes["base"]
+    sections = (ParameterSection("/**", Map(frame="map", rate=1)), ParameterSection("/other", Map(other=1)))
+    specification = changed(specification, nodes=specification.nodes.set("base", changed(node, sections=sections)))
+    value = {"name": "rate", "value": 7, "declared": 7, "set_at_run_time": False}
+    reported: list[Any] = []
+
+    class Stated:
+        def status(self) -> Any:
+            return status(component("base_2", role="base", node="/base_2", parameters=reported))
+
+        def specification(self) -> Any:
+            return specification
+
+    monkeypatch.setattr(param, "find", lambda _: (Stated(), None))
+    assert run("param", "list")[:2] == (
+        0,
+        "base_2: frame = 'map' is stated; the node does not say which it has\n"
+        "base_2: rate = 7 is stated; the node does not say which it has\n",
+    )
+    reported.append(value)
+    assert (
+        run("param", "list", "base")[1]
+        == "base_2: rate = 7\nbase_2: frame = 'map' is stated; the node has no such parameter\n"
+    )
+    refused = run("param", "get", "base", "frame")
+    assert refused[0] == 1 and "frame of base_2 is not known: 'map' is stated; the node has no such" in refused[2]
+    assert json.loads(run("param", "list", "--json")[1]) == {"base_2": [value]}

@@ -13,6 +13,7 @@ from rich.console import Console, RenderableType
 from midstride import verdicts
 from midstride.cli import render, render_status
 from midstride.cli.input_files import as_typed_here
+from midstride.cli.output import PAGE_WIDTH, console
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.runtime.change.change_assessment import reported
 from midstride.runtime.records.reports import Outcome
@@ -326,3 +327,28 @@ def test_verbose_status_lists_the_topics_that_are_no_ports() -> None:
     talker = component("talker_2", run="talker", undeclared=["publishes on /debug (std_msgs/msg/String)"])
     lines = shown(render_status.platform(status(talker)))
     assert lines[-1].startswith("talker_2 publishes on /debug (std_msgs/msg/String): no port states that")
+
+
+def test_nodes_outside_are_named_where_no_port_listens_or_publishes() -> None:
+    topic: dict[str, Any] = {"name": "/cmd_vel", "topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "rate": 10.0}
+    topic |= {"satisfied": True, "publishers": ["filter.out"], "subscribers": [], "outside": []}
+
+    def line(**changed: Any) -> str:
+        return shown(render_status.status(status(topics=[topic | changed])))[-1]
+
+    assert line() == "/cmd_vel: filter.out → no subscriber"
+    assert line(others={"publishers": [], "subscribers": []}) == "/cmd_vel: filter.out → no subscriber"
+    outside = {"publishers": ["/teleop", "/joy"], "subscribers": ["/base"]}
+    assert line(others=outside) == "/cmd_vel: filter.out → /base (not in the specification)"
+    missing = line(others=outside, publishers=[], satisfied=False)
+    assert missing.startswith("/cmd_vel: /teleop, /joy (not in the specification) → /base")
+
+
+def test_tables_end_without_blanks_where_there_is_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = render.table(["a", "b"])
+    rows.add_row("1", "x" * 150)
+    rows.add_row("2", "y")
+    console().print(rows)
+    assert capsys.readouterr().out.splitlines() == ["a  b", f"1  {'x' * 150}", "2  y"]
+    console().print(rows, width=PAGE_WIDTH)
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= PAGE_WIDTH

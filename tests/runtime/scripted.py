@@ -369,7 +369,7 @@ class ScriptedBackend:
     def middleware(self) -> Middleware:
         return Middleware(name="scripted")
 
-    async def endpoints(self) -> Endpoints:
+    async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         return Endpoints()
 
     async def lingering_readers(self, topic: str) -> int:

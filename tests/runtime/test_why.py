@@ -6,12 +6,15 @@ import re
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from midstride.backends.simulator import Simulator
 from midstride.errors import ManagerError, PlanRefused
 from midstride.model.respawn import RespawnPolicy
 from midstride.plan.request import PlanRequest
+from midstride.runtime.instance_life import LifeTable
 from midstride.runtime.manager import Manager
+from midstride.runtime.view.why import LONG_CALL
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import example, managed
 from tests.runtime.test_lowered import raising
@@ -73,6 +76,44 @@ def test_the_cause_at_the_end_of_a_chain_is_found(tmp_path: Path) -> None:
         assert (await manager.why("sink.use")).remedies == [remedy]
 
     managed("filter", tmp_path, body)
+
+
+def test_a_node_that_hangs_is_to_be_restarted(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        assert (await manager.why("talker.talk")).remedies == []
+        simulator.faults.freeze("talker", 60.0)
+        await simulator.clock.sleep(5.0)
+        found = await manager.why("talker.talk")
+        assert found.normal
+        [remedy] = found.remedies
+        assert re.fullmatch(r"talker does not answer \(for [\d.]+ s\); `midstride restart talker` replaces it", remedy)
+        assert (await manager.why("listener.listen")).remedies == []
+
+    managed("talker", tmp_path, body)
+
+
+def test_an_input_without_its_messages_and_a_call_that_does_not_return_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        simulator.faults.hang("listener", 60.0)
+        await simulator.clock.sleep(LONG_CALL + 3.0)
+        [remedy] = (await manager.why("listener.listen")).remedies
+        silent = r"listener\.in receives nothing of what is published on /chatter \(for [\d.]+ s\)"
+        assert re.fullmatch(f"{silent}; `midstride restart listener` replaces it", remedy)
+        state = manager.system.life.responsive("listener")
+        assert state is not None
+        listen = structs.replace(state.functionalities["listen"], busy=LONG_CALL)
+        busy = structs.replace(state, functionalities={"listen": listen})
+        states = {"listener": busy, "talker": manager.system.life.responsive("talker")}
+        monkeypatch.setattr(LifeTable, "responsive", lambda _, name: states[name])
+        [remedy] = (await manager.why("listener.listen")).remedies
+        assert re.fullmatch(
+            f"{silent}; a call of its code has not returned for 5.00 s; `midstride restart listener` replaces it",
+            remedy,
+        )
+
+    managed("talker", tmp_path, body)
 
 
 def test_what_a_user_has_removed_needs_no_remedy(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import asyncio
+import contextlib
 import json
 import logging
 import os
@@ -26,6 +27,7 @@ from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.runtime.manager_clock import Clock, SystemClock
 from midstride.runtime.process.child_process import Process, end_orphans, find, spawn
 from midstride.runtime.process.family import mark_of
+from midstride.runtime.process.log_runs import begin_run
 from midstride.runtime.process.reaper import Reaper, process_info
 from midstride.wire import environment as variables
 from midstride.wire.sockets import SocketFolder
@@ -179,6 +181,9 @@ class ProcessBackend(abc.ABC):
     async def _spawn(self, launch: Launch, node: str, command: Sequence[str], environment: Mapping[str, str]) -> Handle:
         """Start the process of the node that has the full name ``node``. Raises StartFailed."""
         log = self._log_folder(launch.token) / log_file_name(node)
+        with contextlib.suppress(OSError):  # what starts the process reports it
+            log.parent.mkdir(parents=True, exist_ok=True)
+        begin_run(log, launch.instance)
         spares = None if launch.foreign is not None else self._spares  # it is loaded with its gate
         process = None if spares is None else await spares.run(command, launch.directory, environment, log)
         if process is None:

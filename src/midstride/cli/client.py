@@ -10,7 +10,7 @@ import http.client
 import json
 import socket
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlencode
@@ -162,11 +162,14 @@ class Client:
 
         return self._form(PlannedChange, "POST", "/plan", request, timeout=None)
 
-    def change(self, change: Document) -> Outcome:
-        """Carry out a change, and wait until it has been measured."""
+    def change(self, change: Document, begin: Callable[[], object] = lambda: None) -> Outcome:
+        """Carry out a change, and wait until it has been measured.
+
+        ``begin`` is called right before the first byte is sent; where it raises, the manager is not asked.
+        """
         from midstride.runtime.records.reports import Outcome
 
-        return self._form(Outcome, "POST", "/change", change, timeout=None)
+        return self._form(Outcome, "POST", "/change", change, timeout=None, begin=begin)
 
     def down(self) -> DownReport:
         """End every component, and then the manager."""
@@ -219,11 +222,12 @@ class Client:
         path: str,
         document: Document | None = None,
         timeout: float | None = READ_TIMEOUT,
+        begin: Callable[[], object] = lambda: None,
     ) -> F:
         """The answer, which has that form. Raises ManagerError where it has another one, as of another version."""
         import msgspec
 
-        answer = self._answer(method, path, document, timeout)
+        answer = self._answer(method, path, document, timeout, begin)
         try:
             return msgspec.json.decode(answer, type=form)
         except msgspec.ValidationError as error:
@@ -236,10 +240,17 @@ class Client:
         log = self._socket.parent / "logs" / "manager.log"
         return errors.ManagerError(f"the manager exited before it answered ({reason}); see {log}")
 
-    def _answer(self, method: str, path: str, document: Document | None, timeout: float | None) -> bytes:
+    def _answer(
+        self,
+        method: str,
+        path: str,
+        document: Document | None,
+        timeout: float | None,
+        begin: Callable[[], object] = lambda: None,
+    ) -> bytes:
         connection = _UnixConnection(self._socket, timeout)
         try:
-            response = self._send(connection, method, path, document)
+            response = self._send(connection, method, path, document, begin)
             return response.read()
         except TimeoutError:
             raise errors.ManagerError(f"the manager did not answer within {timeout:g} s") from None
@@ -249,7 +260,12 @@ class Client:
             connection.close()
 
     def _send(
-        self, connection: _UnixConnection, method: str, path: str, document: Document | None
+        self,
+        connection: _UnixConnection,
+        method: str,
+        path: str,
+        document: Document | None,
+        begin: Callable[[], object] = lambda: None,
     ) -> http.client.HTTPResponse:
         try:
             connection.connect()
@@ -265,6 +281,7 @@ class Client:
         except OSError as error:
             raise errors.ManagerError(f"the manager cannot be reached: {error.strerror or error}") from None
         body = None if document is None else json.dumps(document)
+        begin()
         connection.request(method, f"/api/v1{path}", body, {"Content-Type": "application/json"} if body else {})
         response = connection.getresponse()
         if response.status >= 400:

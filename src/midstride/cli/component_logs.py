@@ -1,13 +1,16 @@
-"""The log files of a node's instances: which they are, and what is appended to them."""
+"""The log files of a node's instances: which they are, the run that each ends with, and what is appended to them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from midstride.cli.render import time_of_day
 from midstride.model.instance_names import dotted_name, is_named_after, log_file_name
+from midstride.runtime.process.log_runs import run_begun
 from midstride.runtime.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -16,6 +19,8 @@ if TYPE_CHECKING:
 # How much of the end of a file is read for its last lines, and how much at once of what is appended to it (bytes).
 LONGEST_TAIL: Final = 4 * 1024 * 1024
 LONGEST_PIECE: Final = 1024 * 1024
+# ROS's stamp (Unix time) at the begin of a line: [INFO] [1795230947.628793895] [listener]: I heard: …
+_STAMP: Final = re.compile(r"(\[[A-Z]+\] \[)(\d{9,}\.\d+)(?=\])")
 
 
 def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Path]:
@@ -41,8 +46,20 @@ def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
     return sorted({*live, *crashed})
 
 
-def last_lines(path: Path, count: int | None) -> tuple[list[str], int]:
-    """The last ``count`` lines of a file (None: all of the last 4 MB), and where it ended."""
+def latest_run(lines: Sequence[str]) -> tuple[list[str], list[str]]:
+    """What the latest process of an instance has written, and when its runs in the log began (local times)."""
+    begins = [index for index, line in enumerate(lines) if run_begun(line) is not None]
+    times = [time for line in lines if (time := run_begun(line)) is not None]
+    return [*lines[begins[-1] + 1 if begins else 0 :]], times
+
+
+def with_local_time(line: str) -> str:
+    """The line with ROS's stamp as the local time. One of a simulated clock stays as it is."""
+    return _STAMP.sub(lambda found: found[1] + time_of_day(float(found[2])), line, count=1)
+
+
+def last_lines(path: Path) -> tuple[list[str], int]:
+    """The lines of the last 4 MB of a file, and where it ended."""
     with path.open("rb") as file:
         end = file.seek(0, 2)
         file.seek(max(0, end - LONGEST_TAIL))
@@ -50,7 +67,7 @@ def last_lines(path: Path, count: int | None) -> tuple[list[str], int]:
     lines = text.decode(errors="replace").removesuffix("\n").split("\n") if text else []
     if end > LONGEST_TAIL:
         del lines[0]  # it began before
-    return (lines if count is None else lines[len(lines) - min(count, len(lines)) :]), end
+    return lines, end
 
 
 @dataclass

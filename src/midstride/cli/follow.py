@@ -1,9 +1,10 @@
-"""A request to the manager, with the events that belong to it as they come."""
+"""A request to the manager, with the events that belong to it as they come, and whether it can still be withdrawn."""
 
 from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -18,6 +19,49 @@ A = TypeVar("A")
 
 # How long to wait, after the answer, for events still under way (s).
 LAST_EVENTS = 0.5
+# How long a manager may take to begin with a request that has been sent, or to say that it waits (s).
+BEGIN_TIMEOUT = 2.0
+POLL = 0.02
+
+
+class WithdrawnError(MidstrideError):
+    """The request was withdrawn before it was sent."""
+
+
+class Sending:
+    """Whether the request ``id`` has begun to be sent, or was withdrawn before: one of the two, in whichever thread."""
+
+    def __init__(self, id: str) -> None:
+        self.id = id
+        self._lock = threading.Lock()
+        self._begun = self._withdrawn = False
+
+    def begin(self) -> None:
+        """The first byte is about to be sent. Raises WithdrawnError."""
+        with self._lock:
+            if self._withdrawn:
+                raise WithdrawnError("the request was withdrawn")
+            self._begun = True
+
+    def withdraw(self) -> bool:
+        """Keep the request from being sent; False if that has begun."""
+        with self._lock:
+            self._withdrawn = not self._begun
+            return self._withdrawn
+
+    def interrupted(self, client: Client) -> str:
+        """Keep the request from being sent, and say what becomes of it, as far as that is known."""
+        if self.withdraw():
+            return "Nothing was changed: the manager had not been asked yet."
+        end = time.monotonic() + BEGIN_TIMEOUT
+        try:
+            while not any(event.id == self.id for event in client.log()):
+                if time.monotonic() > end:
+                    raise MidstrideError("it has not begun")
+                time.sleep(POLL)
+        except MidstrideError:
+            return "Whether the manager carries out the change is not known: `midstride log` shows it."
+        return "The manager continues with the change; `midstride log` shows how it ends."
 
 
 @dataclass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -20,6 +21,8 @@ USAGE: Final = 2
 INTERRUPTED: Final = 130
 # The width of output that is not a terminal: wide enough that nothing is folded, for programs and `grep`.
 PIPE_WIDTH: Final = 1000
+# That of a table with long texts in the middle of its rows, where output is not a terminal: what a page shows.
+PAGE_WIDTH: Final = 120
 
 
 def json_option(function: Any) -> Any:
@@ -87,6 +90,23 @@ class PrintableStream:
         return getattr(self.raw, name)
 
 
+class UnpaddedStream:
+    """A text stream without the blanks at the ends of lines with which tables are as wide as their longest row.
+
+    Lines have to be written whole.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        self._stream.write(re.sub(r"[ ]+$", "", text, flags=re.MULTILINE))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 @contextmanager
 def printable_output() -> Iterator[None]:
     """Within it, standard output and standard error are :class:`PrintableStream`."""
@@ -104,8 +124,10 @@ def console(stderr: bool = False) -> Console:
     reconfigure = getattr(stream, "reconfigure", None)
     if reconfigure is not None:
         reconfigure(errors="replace")
-    width = None if stream.isatty() else PIPE_WIDTH
-    return PrintableConsole(file=stream, highlight=False, emoji=False, width=width)
+    if stream.isatty():
+        return PrintableConsole(file=stream, highlight=False, emoji=False)
+    unpadded = cast("TextIO", UnpaddedStream(stream))
+    return PrintableConsole(file=unpadded, highlight=False, emoji=False, width=PIPE_WIDTH)
 
 
 def is_interactive() -> bool:

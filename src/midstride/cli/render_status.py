@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
@@ -16,6 +16,7 @@ from midstride.runtime.records.status_forms import (
     ChangeLock,
     FunctionalityStatus,
     InstanceStatus,
+    OtherEndpoints,
     PortStatus,
     SpareStatus,
     Status,
@@ -85,11 +86,18 @@ def _functionality(row: FunctionalityStatus, component: InstanceStatus) -> tuple
 def _topics(status: Status) -> Iterable[Text]:
     for topic in status.topics:
         # A topic that is satisfied without a publisher in scope is served by the environment.
-        publishers = ", ".join(topic.publishers) or ("the environment" if topic.satisfied else "no publisher")
-        subscribers = ", ".join(topic.subscribers) or "no subscriber"
+        others = topic.others or OtherEndpoints(publishers=[], subscribers=[])
+        served = "the environment" if topic.satisfied else _outside(others.publishers) or "no publisher"
+        publishers = ", ".join(topic.publishers) or served
+        subscribers = ", ".join(topic.subscribers) or _outside(others.subscribers) or "no subscriber"
         style = "dim" if topic.satisfied else "yellow"
         remark = "" if topic.satisfied else "  (not satisfied)"
         yield Text(f"{topic.name}: {publishers} → {subscribers}{remark}", style=style)
+
+
+def _outside(nodes: Sequence[str]) -> str:
+    """The nodes whose endpoints are no ports: of other systems, or undeclared; empty where there is none."""
+    return f"{', '.join(nodes)} (not in the specification)" if nodes else ""
 
 
 def _attached(status: Status) -> Iterable[tuple[str, PortStatus]]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from midstride.cli import shell_completion
 from midstride.cli.client import Client
-from midstride.errors import ManagerError, NoManager, PlanRefused
+from midstride.errors import ManagerError, MidstrideError, NoManager, PlanRefused
 from midstride.model.diagnostics import suggestion
 from midstride.runtime.workspace import Workspace
 from midstride.wire.folders import workspace_root
@@ -56,8 +58,11 @@ def find(system: str | None) -> tuple[Client, Workspace]:
             f"no manager answers; components of these systems may still be running: {', '.join(known)}. "
             "Choose one with --system NAME"
         )
-    where = f"none in {workspace_root()}, where those of this user and XDG_RUNTIME_DIR are"
-    raise NoManager(f"no system is running: {where}; start one with `midstride up FILE`")
+    raise NoManager(f"no system is running: {_nothing_here()}; start one with `midstride up FILE`")
+
+
+def _nothing_here() -> str:
+    return f"none in {workspace_root()}, where those of this user and XDG_RUNTIME_DIR are"
 
 
 def find_workspace(system: str | None) -> Workspace:
@@ -93,13 +98,38 @@ def not_running(status: Status, node: str) -> PlanRefused:
         if crash.role and node in (crash.name, crash.role):
             return PlanRefused("; ".join(filter(None, [crash.words, crash.remedy])))
     known = [*(each.role for each in status.instances), *(each.role for each in status.crashed if each.role)]
-    hint = suggestion(node, sorted(set(known)))
+    hint = in_file(status.file, nodes=[node]) or suggestion(node, sorted(set(known)))
     return PlanRefused(f"no node {node} is running" + (f"; {hint}" if hint else ""))
+
+
+def in_file(file: str | None, *, nodes: Iterable[str] = (), components: Iterable[str] = ()) -> str | None:
+    """What to write for those of these names, which the running system lacks, that ``file`` declares by now.
+
+    ``file`` is the one that the system was brought up from, or that was applied last.
+    """
+    from midstride.cli.input_files import as_typed_here, load
+
+    try:
+        specification = None if file is None else load(Path(file))
+    except (MidstrideError, OSError):  # it may be half written
+        specification = None
+    if file is None or specification is None:
+        return None
+    path = shlex.quote(as_typed_here(file))
+    if names := [f"`{name}`" for name in components if name in specification.components]:
+        return (
+            f"{path} has {', '.join(names)}, which the running system does not know yet: add `--from {path}`, or "
+            f"carry out all that the file changes with `midstride apply {path}`"
+        )
+    if names := [f"`{name}`" for name in nodes if name in specification.nodes]:
+        which = f"{path} has {', '.join(names)}, which the running system does not know yet"
+        return f"{which}: `midstride apply {path}` adds {'it' if len(names) == 1 else 'them'}"
+    return None
 
 
 def _named(system: str, known: Mapping[str, Workspace]) -> Workspace:
     if system not in known:
-        hint = suggestion(system, known) or "start it with `midstride up FILE`"
+        hint = suggestion(system, known) or f"{_nothing_here()}; start it with `midstride up FILE`"
         raise NoManager(f"no system {system} is running; {hint}")
     return known[system]
 

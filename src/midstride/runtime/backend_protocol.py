@@ -7,7 +7,7 @@ are translated here: a back end raises ``BackendError`` and its kinds only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Collection, Container, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -194,8 +194,8 @@ class Backend(Protocol):
     def middleware(self) -> Middleware:
         """The middleware, and what is set for it. To be asked after ``open``."""
 
-    async def endpoints(self) -> Endpoints:
-        """The nodes, and the endpoints on each topic, as the middleware sees them."""
+    async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
+        """The nodes, and the endpoints on each of ``topics`` (None: on every one), as the middleware sees them."""
 
     def probe(self) -> AbstractAsyncContextManager[str | None]:
         """A new endpoint of the manager, while the context is open: a publisher that every component should discover.

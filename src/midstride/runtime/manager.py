@@ -252,7 +252,7 @@ class Manager:
     async def status(self) -> Status:
         """The live components and their modes, with reasons, as they report them; silent ones are marked."""
         programs = await self._programs.status(self.configuration)
-        return status.status(self.watched, programs)
+        return status.status(self.watched, programs, await status.other_endpoints(self.watched))
 
     async def programs(self) -> list[ProgramStatus]:
         """The files of the programs that run, and which of them have changed on disk since."""

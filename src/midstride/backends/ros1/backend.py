@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -217,13 +217,17 @@ class Ros1Backend(processes.ProcessBackend, Backend):
         added = {name: given[name] for name in variables if name in given and name not in kept}
         return Middleware(name="TCPROS", set=added, kept=kept)
 
-    async def endpoints(self) -> Endpoints:
+    async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         state = await self._opened().state()
-        return Endpoints(state.nodes() - self._dead, self._alive(state.publishers), self._alive(state.subscribers))
+        publishers, subscribers = (self._alive(each, topics) for each in (state.publishers, state.subscribers))
+        return Endpoints(state.nodes() - self._dead, publishers, subscribers)
 
-    def _alive(self, nodes_of: Mapping[str, tuple[str, ...]]) -> tuple[tuple[str, str], ...]:
-        topics = nodes_of.keys() - names.INTERNAL - {naming.DIAGNOSTICS}
-        return tuple(sorted((node, topic) for topic in topics for node in nodes_of[topic] if node not in self._dead))
+    def _alive(
+        self, nodes_of: Mapping[str, tuple[str, ...]], topics: Collection[str] | None
+    ) -> tuple[tuple[str, str], ...]:
+        known = nodes_of.keys() - names.INTERNAL - {naming.DIAGNOSTICS}
+        asked = known if topics is None else known & {*topics}
+        return tuple(sorted((node, topic) for topic in asked for node in nodes_of[topic] if node not in self._dead))
 
     @contextlib.asynccontextmanager
     async def probe(self) -> AsyncIterator[str | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Container, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Container, Coroutine, Sequence
 from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -33,6 +33,7 @@ from midstride.runtime.backend_protocol import (
     RemainingProcess,
 )
 from midstride.runtime.manager_clock import Clock
+from midstride.runtime.process.log_runs import begin_run
 from midstride.runtime.records.status_forms import Middleware
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
@@ -128,6 +129,8 @@ class Simulator(Backend):
         self._pids += 1
         name = full_name(launch.instance, launch.namespace)
         log = None if self._logs is None else self._logs / log_file_name(name)
+        if log is not None:
+            begin_run(log, launch.instance)
         process = self._process(launch, log)
         self.processes[launch.instance] = process
         self.time.loop.call_later(self.starting, process.resume)
@@ -167,12 +170,12 @@ class Simulator(Backend):
     def middleware(self) -> Middleware:
         return Middleware(name="none: messages stay in the manager's process")
 
-    async def endpoints(self) -> Endpoints:
-        topics = self.network.topics.items()
+    async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
+        found = [(name, each) for name, each in self.network.topics.items() if topics is None or name in topics]
         return Endpoints(
             nodes=frozenset(process.node for process in self.processes.values() if process.main is not None),
-            publishers=tuple((w.owner.node, name) for name, topic in topics for w in topic.writers),
-            subscribers=tuple((r.owner.node, name) for name, topic in topics for r in topic.readers),
+            publishers=tuple((w.owner.node, name) for name, topic in found for w in topic.writers),
+            subscribers=tuple((r.owner.node, name) for name, topic in found for r in topic.readers),
         )
 
     @asynccontextmanager

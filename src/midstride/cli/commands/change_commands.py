@@ -14,12 +14,13 @@ import click
 from midstride.cli import change_options, shell_completion
 from midstride.cli.client import Client
 from midstride.cli.output import console, is_interactive, json_option, print_json, wants_json
-from midstride.cli.running_systems import find, system_option
+from midstride.cli.running_systems import find, in_file, system_option
 from midstride.cli.user_name import user_name
 from midstride.codec.form import Document
 from midstride.errors import ChangeForbidden, PlanRefused
 
 if TYPE_CHECKING:  # completion must not wait for it
+    from midstride.cli.follow import Sending
     from midstride.model.component import ComponentSpec
     from midstride.runtime.records.reports import Outcome
 
@@ -243,6 +244,32 @@ def change(
     client, _ = find(options.system)
     request = asked(client) if callable(asked) else asked
     request = {**request, "strategy": options.strategy, "detours": options.detours}
+    try:
+        return _change(options, client, request, title, dry_run, file)
+    except PlanRefused as error:
+        hint = _in_changed_file(client, request)
+        raise PlanRefused(f"{error}; {hint}" if hint else str(error)) from None
+
+
+def _in_changed_file(client: Client, request: Document) -> str | None:
+    """What to write for the names in a refused request that the system lacks, and its file declares by now."""
+    running = client.specification()
+    replaced, added = request.get("replace", []), request.get("add", [])
+    given = {each["name"] for each in request.get("components", [])}
+    components = [name for _, name in replaced] + [each["component"] for each in added]
+    nodes = [*request.get("restart", []), *request.get("remove", []), *(node for node, _ in replaced)]
+    components = [name for name in components if name not in running.components and name not in given]
+    nodes = [name for name in nodes if name not in running.nodes]
+    if not (components or nodes):
+        return None
+    hint = in_file(client.status().file, components=components, nodes=nodes)
+    return hint or ("`--from FILE` takes it from the specification that declares it" if components else None)
+
+
+def _change(
+    options: RequestOptions, client: Client, request: Document, title: str, dry_run: bool, file: str | None
+) -> int:
+    """Carry out :func:`change` with the manager's ``client``."""
     expected = None
     if dry_run or not options.yes:
         from midstride.cli import render
@@ -261,11 +288,14 @@ def change(
             return 1
         expected = preview.revision
     document = {"request": request, "expected": expected, "verify": options.verify, "wait": options.wait, "file": file}
-    document |= {"by": asked_by(title), "despite_lock": options.despite_lock}
+    from midstride.cli.follow import Sending
+
+    sending = Sending(uuid.uuid4().hex)
+    document |= {"by": asked_by(title), "despite_lock": options.despite_lock, "id": sending.id}
     try:
-        outcome = _carry_out(client, document, title, show_plan=options.yes)
+        outcome = _carry_out(client, document, title, sending, show_plan=options.yes)
     except (KeyboardInterrupt, BrokenPipeError, SystemExit):  # rich exits where the reader of its output has gone
-        click.echo("\nThe manager continues with the change; `midstride log` shows how it ends.", err=True)
+        click.echo(f"\n{sending.interrupted(client)}", err=True)
         raise
     if wants_json():
         print_json(outcome)
@@ -277,22 +307,28 @@ def asked_by(title: str) -> str:
     return f"{user_name()}: {title}"[:200]
 
 
-def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Outcome:
+def _carry_out(client: Client, change: Document, title: str, sending: Sending, *, show_plan: bool) -> Outcome:
     """Ask the manager for the change and show its progress. The outcome."""
     from midstride.cli.follow import FollowedRequest, last_event_number
 
+    def ask() -> Outcome:
+        from msgspec import structs
+
+        outcome = client.change(change, sending.begin)
+        hint = _in_changed_file(client, change["request"]) if outcome.outcome == "refused" else None
+        return structs.replace(outcome, because=f"{outcome.because}; {hint}") if hint else outcome
+
     if wants_json():
-        return client.change(change)
+        return ask()
     from midstride.cli import render
     from midstride.cli.progress import Progress
 
-    id = uuid.uuid4().hex
     followed = FollowedRequest(
         client,
-        lambda: client.change({**change, "id": id}),
+        ask,
         since=last_event_number(client),
         until="outcome",
-        id=id,
+        id=sending.id,
     )
     out = console()
     with Progress(out) as progress:

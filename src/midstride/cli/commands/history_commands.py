@@ -6,7 +6,7 @@ import click
 
 from midstride.cli import change_options, records
 from midstride.cli.commands.change_commands import RequestOptions, change, request_options
-from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.cli.output import PAGE_WIDTH, console, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, system_option
 from midstride.codec.form import encode
 
@@ -37,7 +37,8 @@ def history_command(latest: int, system: str | None) -> int:
     else:
         from midstride.cli import render
 
-        console().print(render.history(found, in_progress=in_progress))
+        out = console()
+        out.print(render.history(found, in_progress=in_progress), width=min(out.width, PAGE_WIDTH))
     return 0
 
 

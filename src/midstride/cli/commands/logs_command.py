@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -10,7 +11,7 @@ import click
 
 from midstride.cli import shell_completion
 from midstride.cli.client import Client
-from midstride.cli.component_logs import Appended, known_nodes, last_lines, log_files
+from midstride.cli.component_logs import Appended, known_nodes, last_lines, latest_run, log_files, with_local_time
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.cli.running_systems import find_records, system_option
 from midstride.errors import ManagerError, MidstrideError
@@ -37,12 +38,16 @@ LOOK: Final = 0.5
     metavar="N",
     help="Begin with the last N lines of each log.  [default: all, or 10 with --follow]",
 )
+@click.option("--all", "-a", "all_", is_flag=True, help="Also earlier runs of the same instance.")
 @system_option
 @json_option
-def logs_command(node: str, follow: bool, lines: int | None, system: str | None) -> int:
+def logs_command(node: str, follow: bool, lines: int | None, all_: bool, system: str | None) -> int:
     """Print the log of NODE, a node or one of its instances; after a crash, that of the crashed instance, too.
 
-    With --json: a JSON document on each line, with the instance and what it has written.
+    Of several processes of one instance, one after the other, that is what the latest has written. ROS's stamps are
+    shown as the local time.
+
+    With --json: a JSON document on each line, with the instance and what it has written, as it is in the log.
     """
     workspace = find_records(system)
     client = Client(workspace.socket)
@@ -58,7 +63,14 @@ def logs_command(node: str, follow: bool, lines: int | None, system: str | None)
     following = Appended()
     shown: Path | None = None
     for path in paths:
-        begin, end = last_lines(path, count)
+        begin, end = last_lines(path)
+        latest, runs = latest_run(begin)
+        if not all_:
+            begin = latest
+            if len(runs) > 1:
+                click.echo(_earlier(path, node, runs), err=True)
+        if count is not None:
+            begin = begin[len(begin) - min(count, len(begin)) :]
         following.follow(path, end)
         if begin or not follow:
             shown = _show(path, begin, shown, several=len(paths) > 1)
@@ -68,6 +80,12 @@ def logs_command(node: str, follow: bool, lines: int | None, system: str | None)
         except KeyboardInterrupt:
             return 0
     return 0
+
+
+def _earlier(path: Path, node: str, runs: Sequence[str]) -> str:
+    number = len(runs) - 1
+    earlier = "1 earlier run" if number == 1 else f"{number} earlier runs"
+    return f"({path.stem} was started {runs[-1]}; {earlier}: `midstride logs {node} --all`)"
 
 
 def _follow(client: Client, workspace: Workspace, node: str, following: Appended, shown: Path | None) -> None:
@@ -99,5 +117,5 @@ def _show(path: Path, lines: list[str], shown: Path | None, *, several: bool) ->
     if several and path != shown:
         click.echo(f"==> {path.stem} <==")
     for line in lines:
-        click.echo(line)
+        click.echo(with_local_time(line))
     return path

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,6 +17,7 @@ from midstride.errors import CommandRefused, ManagerError, PlanRefused
 from midstride.model.diagnostics import suggestion, unknown_name
 
 if TYPE_CHECKING:
+    from midstride.model.specification import Specification
     from midstride.runtime.records.status_forms import InstanceStatus, ParameterStatus, Status
 
 _node = click.argument("node", shell_complete=shell_completion.nodes)
@@ -43,12 +45,36 @@ def list_command(node: str | None, system: str | None) -> int:
     if wants_json():
         print_json({component.name: component.parameters for component in found})
         return 0
-    if not any(component.parameters for component in found):
+    stated = client.specification()
+    lines = [line for component in found for line in _lines(component, stated)]
+    for line in lines:
+        click.echo(line)
+    if not lines:
         click.echo("No parameters.", err=True)
-    for component in found:
-        for parameter in component.parameters:
-            click.echo(f"{component.name}: {_line(parameter)}")
     return 0
+
+
+def _lines(component: InstanceStatus, specification: Specification) -> Iterator[str]:
+    """The parameters of an instance with their values, and those that are stated and that it does not report."""
+    for parameter in component.parameters:
+        yield f"{component.name}: {_line(parameter)}"
+    for name, words in sorted(_only_stated(component, specification).items()):
+        yield f"{component.name}: {name} = {words}"
+
+
+def _only_stated(component: InstanceStatus, specification: Specification) -> dict[str, str]:
+    """By name, the values that the specification states for an instance, and that it does not report."""
+    if component.role not in specification.nodes:
+        return {}
+    instance = specification.instance(component.role)
+    stated: dict[str, Any] = {}
+    for section in instance.sections:
+        if component.node is not None and section.matches(component.node):
+            stated |= section.parameters
+    stated |= instance.parameters
+    because = "the node has no such parameter" if component.parameters else "the node does not say which it has"
+    reported = {parameter.name for parameter in component.parameters}
+    return {name: f"{value!r} is stated; {because}" for name, value in stated.items() if name not in reported}
 
 
 @param_command.command("get")
@@ -61,6 +87,8 @@ def get_command(node: str, name: str, system: str | None) -> int:
     client, _ = find(system)
     component = _component(client.status(), node)
     parameters = {parameter.name: parameter for parameter in component.parameters}
+    if name not in parameters and (words := _only_stated(component, client.specification()).get(name)) is not None:
+        raise PlanRefused(f"{name} of {component.name} is not known: {words}")
     if name not in parameters:
         hint = suggestion(name, parameters)
         raise PlanRefused(unknown_name("parameter", name) + f" of {node}" + (f"; {hint}" if hint else ""))

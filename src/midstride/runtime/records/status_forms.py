@@ -201,6 +201,13 @@ class CrashedInstance(Report, frozen=True):
     words: Annotated[str, Meta(description="why it does not run")] = ""
 
 
+class OtherEndpoints(Report, frozen=True, kw_only=True):
+    """The nodes, by their full names, with endpoints on a topic that are no ports, as ROS's graph shows them."""
+
+    publishers: Annotated[list[str], Meta(description="empty where a port publishes")]
+    subscribers: Annotated[list[str], Meta(description="empty where a port listens")]
+
+
 class TopicStatus(Report, frozen=True, kw_only=True):
     """A topic. `topic` is its name in ROS, which differs from `name` only while its contract is being changed."""
 
@@ -212,6 +219,12 @@ class TopicStatus(Report, frozen=True, kw_only=True):
     publishers: Annotated[list[str], Meta(description="attached outputs, as `talker.out`")]
     subscribers: list[str]
     outside: Annotated[list[str], Meta(description="publishers outside the system, that the specification declares")]
+    others: Annotated[
+        OtherEndpoints | UnsetType | None,
+        Meta(
+            description="the nodes that publish or listen where no port does; null: ports do both, or it is not known"
+        ),
+    ] = UNSET
 
 
 class RunningCommand(Report, frozen=True):

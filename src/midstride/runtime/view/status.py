@@ -2,29 +2,39 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
 
+from immutables import Map
 from msgspec import structs
 
+from midstride.errors import MidstrideError
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime.records.status_forms import (
     CrashedInstance,
     InstanceStatus,
+    OtherEndpoints,
     ProgramStatus,
     SpareStatus,
     Status,
     TopicStatus,
 )
+from midstride.runtime.timeouts import within
 from midstride.runtime.view.condition import condition
 from midstride.runtime.view.instance_status import EntryShape, instance_status, is_sound, port_statuses
 from midstride.runtime.view.watched_system import WatchedSystem
 
+# How long ROS's graph may take to say which endpoints it shows (s): on ROS 1, the master is asked.
+GRAPH_TIMEOUT: Final = 2.0
 
-def status(watched: WatchedSystem, programs: Iterable[ProgramStatus]) -> Status:
-    """The whole status, as it is now."""
+
+def status(
+    watched: WatchedSystem, programs: Iterable[ProgramStatus], others: Mapping[str, OtherEndpoints] = Map()
+) -> Status:
+    """The whole status, as it is now. ``others``: endpoints that are no ports, by topic."""
     configuration = watched.system.configuration
     evaluator, found = Evaluator(configuration), violations(configuration)
     silences = watched.monitor.faults(configuration)
@@ -39,8 +49,37 @@ def status(watched: WatchedSystem, programs: Iterable[ProgramStatus]) -> Status:
         violations=broken,
         instances=instances,
         silences=silences,
-        topics=[topic_status(configuration, evaluator, name) for name in sorted(configuration.context.connectors)],
+        topics=[
+            structs.replace(topic, others=others.get(topic.topic))
+            for name in sorted(configuration.context.connectors)
+            for topic in [topic_status(configuration, evaluator, name)]
+        ],
     )
+
+
+async def other_endpoints(watched: WatchedSystem) -> dict[str, OtherEndpoints]:
+    """The endpoints that ROS's graph shows on topics where no port publishes, or none listens, by topic.
+
+    Empty where the graph cannot be looked at in time.
+    """
+    configuration = watched.system.configuration
+    unwritten = {name for name in configuration.context.connectors if not configuration.publishers_on(name)}
+    unheard = {name for name in configuration.context.connectors if not configuration.subscribers_on(name)}
+    topics = {name: configuration.topic(name) for name in unwritten | unheard}
+    if not topics:
+        return {}
+    try:
+        async with within(GRAPH_TIMEOUT):
+            seen = await watched.backend.endpoints([*topics.values()])
+    except (MidstrideError, asyncio.TimeoutError):
+        return {}
+    return {
+        topic: OtherEndpoints(
+            publishers=sorted({node for node, where in seen.publishers if where == topic and name in unwritten}),
+            subscribers=sorted({node for node, where in seen.subscribers if where == topic and name in unheard}),
+        )
+        for name, topic in topics.items()
+    }
 
 
 def system_values(watched: WatchedSystem) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Final
 
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef, InputAlternatives, PortRef
@@ -13,6 +14,10 @@ from midstride.model.rules import Evaluator
 from midstride.runtime.records.status_forms import Why
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.watched_system import WatchedSystem
+from midstride.verdicts import seconds_in_words, silence_in_words
+
+# A call of user code that takes so long (s) is named as what to do something about: longer than any that is planned.
+LONG_CALL: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +82,8 @@ class Explainer:
 
     def _remedies(self, evaluator: Evaluator, ref: FunctionalityRef) -> list[str]:
         """What to do so that ``ref`` gets back into its normal mode: for each root cause, the nearest first."""
-        if not self.system.configuration.modes[ref]:
+        stuck = self._stuck(ref)
+        if not (stuck or self._is_lowered(ref)):
             return []
         if (commands := self.watched.commands).is_changing:
             return [f"wait for `{commands.current}`, which is being carried out"]
@@ -97,13 +103,39 @@ class Explainer:
         """What to do about a functionality that is not lowered because of what it relies on alone."""
         configuration = self.system.configuration
         role = configuration.instances[ref.instance].role
-        if self.watched.client.life.responsive(ref.instance) is None:
-            return f"it does not answer; `midstride restart {role}` replaces it"
+        if stuck := self._stuck(ref):
+            return "; ".join(stuck)
         if restoring := self.watched.restorer.status(ref):
             return restoring
+        if not configuration.modes[ref]:
+            return None
         if evaluator.mode_satisfied(ref, 0):
             return f"fix the cause, then {self.system.remedy(role)}"
         return None
+
+    def _is_lowered(self, ref: FunctionalityRef) -> bool:
+        """Whether ``ref`` is below its normal mode, in the model or as its component reports."""
+        configuration, state = self.system.configuration, self.watched.client.life.responsive(ref.instance)
+        found = None if state is None else state.functionalities.get(ref.functionality)
+        best = configuration.functionality(ref).modes[0].name
+        return configuration.modes[ref] > 0 or (found is not None and found.mode != best)
+
+    def _stuck(self, ref: FunctionalityRef) -> list[str]:
+        """What to do about an instance that hangs, or is silent where ``ref`` guarantees messages; else nothing."""
+        configuration = self.system.configuration
+        instance, functionality = configuration.instances[ref.instance], configuration.functionality(ref)
+        ports = {*functionality.inputs, *functionality.outputs}
+        silent = [
+            silence_in_words(fault.words, fault.seconds or None)
+            for fault in self.watched.monitor.faults(configuration)
+            if fault.instance == ref.instance and (fault.port is None or PortRef.parse(fault.port).port in ports)
+        ]
+        state = self.watched.client.life.responsive(ref.instance)
+        found = None if state is None else state.functionalities.get(ref.functionality)
+        if found is not None and found.busy is not None and found.busy >= LONG_CALL:
+            silent.append(f"a call of its code has not returned for {seconds_in_words(found.busy)}")
+        by_hand = "start it anew, then " if instance.component.run is None else ""
+        return [f"{'; '.join(silent)}; {by_hand}`midstride restart {instance.role}` replaces it"] if silent else []
 
     def _lacking(self, evaluator: Evaluator, ref: FunctionalityRef) -> tuple[list[FunctionalityRef], list[str]]:
         """The lowered publishers on the inputs that the normal mode lacks, and why and how others are missing."""
@@ -112,15 +144,17 @@ class Explainer:
         suppliers: list[FunctionalityRef] = []
         missing: list[str] = []
         for assumption in functionality.modes[0].assumptions:
-            if evaluator.assumption_satisfied(ref, functionality, assumption):
-                continue
+            # The model may have what has just fallen silent.
+            satisfied = evaluator.assumption_satisfied(ref, functionality, assumption)
             names = assumption.inputs if isinstance(assumption, InputAlternatives) else functionality.inputs
             for topic in (topic for name in names for topic in configuration.attached_to(PortRef(ref.instance, name))):
                 for output in sorted(configuration.publishers_on(topic)):
                     owner = configuration.component(output.instance).find_owner(output.port)
                     other = None if owner is None else FunctionalityRef(output.instance, owner.name)
-                    if other is not None and configuration.modes[other]:
+                    if other is not None and (self._stuck(other) or (not satisfied and configuration.modes[other])):
                         suppliers.append(other)
+                if satisfied:
+                    continue
                 missing += [words for role in self._roles_missing_on(topic) if (words := self._missing(role))]
         return suppliers, missing
 

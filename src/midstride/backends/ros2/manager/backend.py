@@ -11,7 +11,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -290,8 +290,8 @@ class Ros2Backend(ProcessBackend, Backend):
     def middleware(self) -> Middleware:
         return self.settings.described(os.environ, self.warnings)
 
-    async def endpoints(self) -> Endpoints:
-        return self._joined().endpoints()
+    async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
+        return self._joined().endpoints(topics)
 
     @asynccontextmanager
     async def probe(self) -> AsyncIterator[str | None]:

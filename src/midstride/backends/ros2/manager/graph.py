@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
@@ -86,12 +86,13 @@ class Graph:
                 break
         return set(living.values())
 
-    def endpoints(self) -> Endpoints:
+    def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
+        """Those on ``topics``, by default on every topic, and the nodes that have them."""
         instances = self._instances()
         nodes: set[str] = set()
         publishers: list[tuple[str, str]] = []
         subscribers: list[tuple[str, str]] = []
-        for topic in self._topics():
+        for topic in self._topics() if topics is None else topics:
             writers, readers = (
                 self._visible(infos, instances) for infos in (self._publishers(topic), self._subscriptions(topic))
             )
