@@ -724,6 +724,14 @@ declare namespace Api {
     topic?: string;
   }
 
+  /** The nodes, by their full names, with endpoints on a topic that are no ports, as ROS's graph shows them. */
+  interface OtherEndpoints {
+    /** empty where a port publishes */
+    publishers: string[];
+    /** empty where a port listens */
+    subscribers: string[];
+  }
+
   /** The result of a change; `refused`: nothing was changed. */
   interface Outcome {
     outcome: "done" | "failed" | "incomplete" | "refused" | "rolled_back";
@@ -1394,6 +1402,8 @@ declare namespace Api {
     subscribers: string[];
     /** publishers outside the system, that the specification declares */
     outside: string[];
+    /** the nodes that publish or listen where no port does; null: ports do both, or it is not known */
+    others?: OtherEndpoints | null;
   }
 
   /** The end of a lock. */
