@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from midstride.errors import Unreachable
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from tests.runtime.counting import EXPORT, IMPORT, at_rates, counting, exchanged, for_messages, settle, system
 from tests.runtime.services import SERVICE, SLOW_SERVICE, Caller, ServingSimulator
@@ -157,18 +158,50 @@ def test_a_new_one_that_dies_in_the_transfer_leaves_the_old_one_answering(op: st
     serving(tmp_path, body)
 
 
-@pytest.mark.parametrize(("seconds", "waited_for"), [(0.1, True), (0.5, False)])
+@pytest.mark.parametrize(("seconds", "waited_for"), [(0.1, True), (0.5, False), (4.0, False)])
 def test_a_request_under_way_is_waited_for_before_the_export(seconds: float, waited_for: bool, tmp_path: Path) -> None:
-    """For a bounded time: what a longer one changes after the export is not in the state."""
+    """For a bounded time: what a longer one changes after the export is not in the state. It is answered all the same,
+    before its process ends."""
 
     async def body(manager: Manager, simulator: ServingSimulator) -> None:
         await settle(0.1)
         caller = Caller(simulator, interval=0.01)
         outcome = await exchanged(manager)
         assert (outcome.outcome, outcome.because) == ("done", None)
+        noted = await caller.stop()
+        assert set(caller.answered_by) == {"counter", "counter_2"}
         if waited_for:
-            assert_each_once(caller, await caller.stop())
+            assert_each_once(caller, noted)
         else:
-            assert set(caller.answers) < set(caller.sent), "the old one has ended before it had answered them"
+            assert set(noted) < set(caller.sent), "the state has moved before"
 
     serving(tmp_path, body, more=SLOW_SERVICE.format(seconds=seconds))
+
+
+@pytest.mark.parametrize("ask", [PlanRequest(remove=("counter",)), None])
+def test_a_request_under_way_is_answered_before_its_process_ends(ask: PlanRequest | None, tmp_path: Path) -> None:
+    """By a removal and by `down`, too, which have no successor."""
+
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        caller = Caller(simulator, interval=0.01)
+        await settle(2.0)
+        caller._task.cancel()
+        await settle(0.01)  # the last one is on its way
+        if ask is None:
+            await manager.down()
+        else:
+            assert (await manager.change(ask)).outcome == "done"
+        assert len(await caller.stop()) == len(caller.sent)
+
+    serving(tmp_path, body, more=SLOW_SERVICE.format(seconds=4.0))
+
+
+def test_a_request_that_takes_too_long_is_given_up(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        Caller(simulator, interval=1.0)
+        await settle(0.5)
+        old = simulator.processes["counter"]
+        assert (await exchanged(manager)).outcome == "done"
+        assert "counter ends, but a request to a service of it was not answered within 10 s" in old.log.tail()
+
+    serving(tmp_path, body, more=SLOW_SERVICE.format(seconds=60.0))

@@ -37,6 +37,8 @@ T = TypeVar("T")
 
 # How long ending takes besides the author's `on_stop` (s): destroying endpoints and leaving the platform.
 SHUTDOWN_SECONDS: Final = 1.0
+# How long a request to a service that is being handled may take, once its instance is to end (s).
+REQUESTS_SECONDS: Final = 10.0
 
 
 class Revision:
@@ -165,7 +167,8 @@ class CommandHandlers:
         self._handovers.disconnect()
 
     async def end(self) -> None:
-        """Stop calls, run the author's `on_stop`, destroy endpoints; each in bounded time, whatever fails."""
+        """Finish requests, stop calls, run the author's `on_stop`, destroy endpoints; each in bounded time."""
+        await self._finish_requests()
         self._handovers.close()
         self._take_hold()  # no call is begun any more
         timeout = self.parts.callbacks.stop_timeout
@@ -182,6 +185,17 @@ class CommandHandlers:
                 self.host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
             await self._attachments.close_all(0.5)
+
+    async def _finish_requests(self) -> None:
+        """Answer the requests to services that are being handled, and begin with no other."""
+        self.host.admission.pause()
+        deadline = self.host.steady() + int(REQUESTS_SECONDS * 1e9)
+        while self.host.admission.busy:
+            if self.host.steady() >= deadline:
+                words = f"a request to a service of it was not answered within {REQUESTS_SECONDS:g} s"
+                self.host.logger.error(f"{self.host.instance} ends, but {words}")
+                return
+            await self.host.sleep(0.01)
 
     def _stop_calls(self) -> None:
         for parameter in self._parameters().values():
@@ -229,9 +243,13 @@ class CommandHandlers:
         )
 
     def _stopping_seconds(self) -> float:
-        """How long :meth:`end` takes where user code keeps to its times: of the call under way, then of `on_stop`."""
+        """How long :meth:`end` takes where user code keeps to its times.
+
+        That of a request that is being handled, of the call under way, and of `on_stop`.
+        """
         callbacks = self.parts.callbacks
-        return callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
+        requests = REQUESTS_SECONDS if self.host.admission.busy else 0.0
+        return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
 
     def _parameters(self) -> dict[str, HeldParameter]:
         """Those of the component, and those that are declared on the ROS node itself."""

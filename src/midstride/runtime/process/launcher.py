@@ -351,8 +351,10 @@ class Launcher:
 
     async def end(self, name: str) -> None:
         """End a component that a manager started. Raises BackendError; then its handle is kept."""
-        component = self._components.get(name)
-        await self._end(name, DEFAULT_STOP if component is None else stop_times(component, self._asked.get(name, 0.0)))
+        component, latest = self._components.get(name), self._life.latest(name)
+        # A component that handles a request to a service asks for more time than it did when it was accepted.
+        asked = max(self._asked.get(name, 0.0), 0.0 if latest is None else latest.state.stopping)
+        await self._end(name, DEFAULT_STOP if component is None else stop_times(component, asked))
         self._life.record(name, ProcessEvent.ENDED)
 
     async def kill(self, name: str) -> None:
