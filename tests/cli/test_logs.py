@@ -9,6 +9,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from midstride.cli.commands import logs_command
 from midstride.cli.component_logs import LONGEST_TAIL, Appended, last_lines, log_files
 from midstride.runtime.process.log_runs import begin_run, run_begun
 from midstride.runtime.workspace import Workspace
@@ -95,6 +98,23 @@ def test_of_several_runs_in_a_log_the_latest_is_shown_in_local_time(midstride: M
     assert every[:2] == ["before", "==== talker was started 2026-11-26 09:00:00 ===="] and every[-3:] == latest
     documents = [json.loads(line) for line in midstride("logs", "talker", "--json").out.splitlines()]
     assert documents[0]["line"] == "[INFO] [1795230948.500000000] [talker]: of the second"
+
+
+def test_a_replacement_that_has_ended_is_named_and_its_log_is_shown(
+    midstride: Midstride, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = midstride.runtime / "midstride" / "patrol" / "logs"
+    folder.mkdir(parents=True)
+    (folder.parent / "journal.db").touch()
+    for name, at, text in (("src", "10:00:00", "old"), ("src_2", "10:30:00", "ValueError"), ("src_3", "09:00:00", "x")):
+        (folder / f"{name}.log").write_text(f"==== {name} was started 2026-11-26 {at} ====\n{text}\n")
+    monkeypatch.setattr(logs_command, "_status", lambda _: status(component("src", role="src")))
+    shown = midstride("logs", "src")
+    assert shown.out == "old\n"
+    assert "(src_2, which has ended, has a log as well: `midstride logs src_2`)" in shown.err
+    shown = midstride("logs", "src_2")
+    assert (shown.out, "has a log as well" in shown.err) == ("ValueError\n", False)
+    assert midstride("logs", "src_4").status == 1
 
 
 def test_the_begin_of_a_run_is_on_a_line_of_its_own(tmp_path: Path) -> None:

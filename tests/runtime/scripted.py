@@ -369,6 +369,9 @@ class ScriptedBackend:
     def middleware(self) -> Middleware:
         return Middleware(name="scripted")
 
+    def reach(self) -> dict[str, str]:
+        return {}
+
     async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         return Endpoints()
 

@@ -25,7 +25,7 @@ from tests.runtime.systems import EXAMPLES, example, replace, rewritten, saved
 BROKEN = "raise RuntimeError('no camera')\n"
 # Runs, and never registers.
 HANGS = "import time\nwhile True:\n    time.sleep(1)\n"
-REASON = "talker exited with status 1 before it registered"
+REASON = "talker exited with status 1 before it registered: RuntimeError: no camera"
 
 Body = Callable[[Manager, Simulator, UpReport], Awaitable[None]]
 

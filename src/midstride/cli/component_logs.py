@@ -32,9 +32,26 @@ def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Pa
         live = [each.name for each in status.instances if node in (each.role, each.name)]
         crashed = [each.name for each in status.crashed if is_named_after(each.name, node)]
         names = [*(name for name in crashed if name not in live), *live]
+        if not names and node.rpartition("_")[2].isdecimal():  # an instance that is no more, as after a roll-back
+            names = [node]
         return [path for name in names if (path := workspace.logs / log_file_name(name)).exists()]
     found = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, dotted_name(node))]
     return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
+
+
+def ended_since(workspace: Workspace, node: str, shown: Sequence[Path]) -> list[str]:
+    """The instances of ``node`` whose logs are not ``shown``, and are newer than the begin of the latest of those.
+
+    As of a replacement that did not succeed.
+    """
+    begun = max((run for path in shown for run in latest_run(last_lines(path)[0])[1][-1:]), default=None)
+    found: list[tuple[str, str]] = []
+    for path in workspace.logs.glob("*.log"):
+        if begun is not None and path not in shown and is_named_after(path.stem, dotted_name(node)):
+            runs = latest_run(last_lines(path)[0])[1]
+            if runs and runs[-1] > begun:
+                found.append((runs[-1], path.stem))
+    return [name for _, name in sorted(found)]
 
 
 def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:

@@ -117,7 +117,7 @@ class ProgramEndpoints:
         if found is None and (missing or self.late):
             program = self.order.command[0]
             waited = endpoints_seconds(self.component)
-            words = f"there is no node {self.order.node} {waited:g} s after `{program}` was started"
+            words = f"there is no node {self.order.node} {waited:.3g} s after `{program}` was started"
             late = f"if it needs longer, state `takes {2 * waited:g} s` after its `run` command"
             return [f"{words}: a program behind a relay must accept ROS's arguments, its name among them; {late}"]
         declared, shown = self._declared, found or ()

@@ -58,6 +58,26 @@ def exited(status: int | None) -> str:
     return f"was killed by signal {-status}" if status < 0 else f"exited with status {status}"
 
 
+def exception_in(text: str) -> str | None:
+    """The last exception that the log of a program in Python or C++ shows, as ``ValueError: no input``."""
+    found, in_traceback = None, False
+    for line in text.splitlines():
+        words = line.strip()
+        if "Traceback (most recent call last):" in line:
+            in_traceback = True
+        elif in_traceback and words and not line[0].isspace():
+            found, in_traceback = words, False
+        elif words.startswith("what():"):
+            found = words.removeprefix("what():").strip()
+    return found
+
+
+def with_log(how: str, log: str) -> str:
+    """``camera exited with status 1: ValueError: no input``, and below it the end of its log, which is ``log``."""
+    exception = exception_in(log)
+    return f"{how}{'' if exception is None else f': {exception}'}{'' if exception else ':'}\n{log.strip()}"
+
+
 def killed(instance: str, seconds: float) -> str:
     """``camera had not ended 3 s after it was asked to, and was killed (SIGKILL)``"""
     return f"{instance} had not ended {seconds:g} s after it was asked to, and was killed (SIGKILL)"

@@ -65,7 +65,7 @@ def breaches(steps: Sequence[Step], levels: Levels, constraints: Iterable[Constr
         if isinstance(constraint, Limit):
             if _exceeds(constraint, track[-1][1]):
                 seconds = track[-1][1].seconds(constraint.functionality)
-                found[constraint] = f"it would be below its baseline for {seconds:g} s"
+                found[constraint] = f"it would be below its baseline for {seconds:.3g} s"
         elif isinstance(constraint, Order):
             late = _out_of_order(constraint, steps)
             if late is not None:

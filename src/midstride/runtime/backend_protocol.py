@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 from midstride.model.component import ComponentSpec, ParameterSection, StopTimes
+from midstride.model.wording import exception_in
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
 from midstride.wire.state import ComponentState
@@ -94,6 +95,13 @@ class Exited:
     def words(self) -> str:
         """Why the instance is missing."""
         return self.because or f"{self.instance} exited unexpectedly"
+
+    @property
+    def details(self) -> str:
+        """Why the instance is missing, with the exit status and the exception that its log ends with."""
+        status = "" if self.status is None else f" (status {self.status})"
+        exception = exception_in(self.log_tail)
+        return self.because or f"{self.words}{status}{'' if exception is None else f': {exception}'}"
 
 
 class RemainingProcess(NamedTuple):
@@ -196,6 +204,13 @@ class Backend(Protocol):
 
     async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         """The nodes, and the endpoints on each of ``topics`` (None: on every one), as the middleware sees them."""
+
+    def reach(self) -> dict[str, str]:
+        """The variables that decide which nodes this process can reach, such as `ROS_DOMAIN_ID`, as they take effect.
+
+        A manager with others than the one that started the components could not reach them.
+        """
+        return {}
 
     def probe(self) -> AbstractAsyncContextManager[str | None]:
         """A new endpoint of the manager, while the context is open: a publisher that every component should discover.

@@ -60,7 +60,7 @@ class Channel:
         connection = await transport.connect(address)
         try:
             greeting = await in_time(
-                timeout, _greet(connection, address, token), f"{address} did not greet within {timeout:g} s"
+                timeout, _greet(connection, address, token), f"{address} did not greet within {timeout:.3g} s"
             )
         except BaseException:
             connection.close()
@@ -82,7 +82,7 @@ class Channel:
     async def send(self, request: frames.Request, timeout: float) -> Reply:
         """As :meth:`request`, for a complete request. Its id must not be that of one under way."""
         self._require_open()
-        words = f"{self.greeting.instance} did not answer within {timeout:g} s"
+        words = f"{self.greeting.instance} did not answer within {timeout:.3g} s"
         return await in_time(timeout, self._exchange(request), words)
 
     def _require_open(self) -> None:

@@ -217,6 +217,9 @@ class Ros1Backend(processes.ProcessBackend, Backend):
         added = {name: given[name] for name in variables if name in given and name not in kept}
         return Middleware(name="TCPROS", set=added, kept=kept)
 
+    def reach(self) -> dict[str, str]:
+        return {"ROS_MASTER_URI": launching.master_uri(os.environ)}
+
     async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         state = await self._opened().state()
         publishers, subscribers = (self._alive(each, topics) for each in (state.publishers, state.subscribers))

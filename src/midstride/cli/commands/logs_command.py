@@ -11,7 +11,15 @@ import click
 
 from midstride.cli import shell_completion
 from midstride.cli.client import Client
-from midstride.cli.component_logs import Appended, known_nodes, last_lines, latest_run, log_files, with_local_time
+from midstride.cli.component_logs import (
+    Appended,
+    ended_since,
+    known_nodes,
+    last_lines,
+    latest_run,
+    log_files,
+    with_local_time,
+)
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.cli.running_systems import find_records, system_option
 from midstride.errors import ManagerError, MidstrideError
@@ -59,6 +67,8 @@ def logs_command(node: str, follow: bool, lines: int | None, all_: bool, system:
             raise ManagerError(f"{node} was started elsewhere, so its output is there")
         hint = suggestion(node, known) or "nothing has been started under that name"
         raise ManagerError(f"there is no log of {node} in the system {workspace.name}; {hint}")
+    for name in () if status is None else ended_since(workspace, node, paths)[-1:]:
+        click.echo(f"({name}, which has ended, has a log as well: `midstride logs {name}`)", err=True)
     count = 10 if lines is None and follow else lines
     following = Appended()
     shown: Path | None = None

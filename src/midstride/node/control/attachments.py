@@ -32,7 +32,7 @@ TICK: Final = 0.005
 def not_matched(matched: int, command: commands.AttachCommand | commands.AwaitReadersCommand) -> CommandRefused:
     """The refusal of a command that has found only ``matched`` of the endpoints that it must find."""
     return CommandRefused(
-        f"only {matched} of {command.peers} endpoints on {command.topic} were found within {command.timeout:g} s; "
+        f"only {matched} of {command.peers} endpoints on {command.topic} were found within {command.timeout:.3g} s; "
         "the others are missing, have another type or incompatible QoS, or discovery does not reach them"
     )
 

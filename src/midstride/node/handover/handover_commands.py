@@ -118,7 +118,7 @@ class HandoverCommands:
             except BackendError as error:
                 if self.host.steady() >= deadline:
                     raise CommandRefused(
-                        f"{command.peer} did not answer within {command.timeout:g} s: {error}"
+                        f"{command.peer} did not answer within {command.timeout:.3g} s: {error}"
                     ) from None
                 await self.host.sleep(0.02)
 

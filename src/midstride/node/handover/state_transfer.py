@@ -399,4 +399,4 @@ class StateImport(_Transfer):
 
 
 def _too_long(transfer: commands.StateTransfer) -> str:
-    return f"the state took longer than {transfer.timeout:g} s"
+    return f"the state took longer than {transfer.timeout:.3g} s"

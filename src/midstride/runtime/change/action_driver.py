@@ -247,8 +247,11 @@ class ActionDriver:
         for old, new in () if self.rolling_back else self.change.plan.change.replaced.items():
             life = self.system.life[new]
             if old == leaving and new in started and new not in handed and life.exit is not None:
-                log = f":\n{life.exit.log_tail.strip()}" if life.exit.log_tail.strip() else ""
-                raise StepFailed(f"{new}, which replaces {old}, {wording.exited(life.exit.status)}{log}")
+                words, log = (
+                    f"{new}, which replaces {old}, {wording.exited(life.exit.status)}",
+                    life.exit.log_tail.strip(),
+                )
+                raise StepFailed(wording.with_log(words, log) if log else words)
 
     async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
         """Set parameters to the specification's values; a roll-back restores what was set at run time before."""

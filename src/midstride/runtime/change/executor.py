@@ -12,9 +12,11 @@ import itertools
 import logging
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, Final
 
-from midstride.errors import BackendError, MidstrideError, StepFailed, Superseded
+from midstride.errors import BackendError, MidstrideError, StartFailed, StepFailed, Superseded
+from midstride.model import wording
 from midstride.model.action import Action, Create, Handover, Remove, SetParameters
 from midstride.model.configuration import Configuration
 from midstride.model.wording import counted
@@ -26,11 +28,17 @@ from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.handover.cut_turns import CutTurn, CutTurns, GivenUp
+from midstride.runtime.process.child_process import tail as tail_of
+from midstride.runtime.process.log_runs import text_of_latest_run
 from midstride.runtime.records.reports import StepTime
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.running_system import RunningSystem
 
 log = logging.getLogger(__name__)
+
+# How often it is looked whether a process has exited whose connection has closed, and how long that is apart (s).
+EXIT_LOOKS: Final = 10
+EXIT_INTERVAL: Final = 0.05
 
 # The actions that are done, each with the configuration that it was applied to.
 DoneActions = list[tuple[Action, Configuration]]
@@ -254,7 +262,11 @@ class Executor:
 
     async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> None:
         """Roll back, and raise StepFailed: ``failures`` are those of the steps at ``indices``, by index."""
-        reasons = {index: _words(error) for index, error in failures.items() if not isinstance(error, GivenUp)}
+        reasons = {
+            index: await self._reason(self.change.actions[index], error)
+            for index, error in failures.items()
+            if not isinstance(error, GivenUp)
+        }
         for index in failures:
             how = f"failed: {reasons[index]}" if index in reasons else "given up"
             self.driver.events.add("step_failed", f"{self._name(index)} {how}", **self._position(index))
@@ -277,6 +289,31 @@ class Executor:
         if isinstance(error, asyncio.CancelledError) and not problems:
             raise error
         raise StepFailed(because, "failed" if problems else "rolled_back") from error
+
+    async def _reason(self, action: Action, error: BaseException) -> str:
+        """Why a step has failed, with what a new instance has written last, where it has exited or raised.
+
+        Nothing else would show it: the roll-back removes the instance.
+        """
+        words, life = _words(error), self.system.life
+        if not isinstance(error, MidstrideError) or isinstance(error, (StartFailed, Superseded)):
+            return words
+        for new in (each.instance for each in self.change.actions if isinstance(each, Create)):
+            if new.name not in action.instances() or new.component.run is None:
+                continue
+            for _ in range(EXIT_LOOKS):  # the end of its connection is known first
+                if not life.is_gone(new.name) or life.has_exited(new.name):
+                    break
+                await self.driver.backend.clock.sleep(EXIT_INTERVAL)
+            exit, handle = life[new.name].exit, life[new.name].handle
+            if life.has_exited(new.name) and exit is not None:
+                tail = exit.log_tail.strip()
+                return wording.with_log(f"{new.name} {wording.exited(exit.status)}", tail) if tail else words
+            if new.component.gate is not None and handle is not None and handle.log is not None:
+                tail = text_of_latest_run(tail_of(Path(handle.log)))
+                if (exception := wording.exception_in(tail)) is not None:
+                    return f"{words}; it has raised {exception}\n{tail.strip()}"
+        return words
 
     async def perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError.

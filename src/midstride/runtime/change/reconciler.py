@@ -141,11 +141,10 @@ class Reconciler:
     def _record_exit(self, event: Exited) -> None:
         live = self.system.configuration.instances.get(event.instance)
         hint = "" if live is None else maybe_done(live.component, event)
-        status = "" if event.status is None else f" (status {event.status})"
         if hint:
-            event = replace(event, because=f"{event.words}{status}{hint}")
+            event = replace(event, because=f"{event.details}{hint}")
         self.system.life.exited(event)
-        self.events.add("exited", event.because or f"{event.words}{status}", log=event.log_tail)
+        self.events.add("exited", event.details, log=event.log_tail)
         change = self.commands.change
         if event.instance in self.system.configuration.instances and change is not None:
             change.moved(self.system.configuration, (event.instance,))

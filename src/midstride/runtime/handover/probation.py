@@ -65,7 +65,7 @@ async def require_rate(
         raise StepFailed(f"the code that writes {port} has raised behind its gate")
     if not verdict.reached:
         words = "; `timing { probation 0 s }` in the specification lets it in all the same" if by_default else ""
-        raise StepFailed(f"{_words(port, rate, window, verdict)}, behind its gate; it was given {timeout:g} s{words}")
+        raise StepFailed(f"{_words(port, rate, window, verdict)}, behind its gate; it was given {timeout:.3g} s{words}")
 
 
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.

@@ -264,7 +264,7 @@ class ComponentClient:
             self.forget_revision(instance)  # the command may or may not have been carried out
             if instance not in self._channels:
                 raise CallTimeout(f"{instance} cannot be reached for `{command.name}`: {error}") from None
-            how = f"within {command.timeout + ANSWER_TIMEOUT:g} s and, asked again, {ANSWER_TIMEOUT:g} s more"
+            how = f"within {command.timeout + ANSWER_TIMEOUT:.3g} s and, asked again, {ANSWER_TIMEOUT:g} s more"
             if (latest := self.life.latest(instance)) is not None and self.life.is_silent(instance):
                 how = f"and has reported nothing for {self.clock.steady() - latest.at:.1f} s"
             raise CallTimeout(f"{instance} did not answer `{command.name}` {how}") from None

@@ -459,4 +459,5 @@ def maybe_done(component: ComponentSpec, ended: Exited) -> str:
 def _describe_exit(event: Exited, when: str = "before it registered") -> str:
     how = wording.exited(event.status)
     tail = event.log_tail.strip()
-    return f"{event.instance} {how} {when}" + (f":\n{tail}" if tail else " and wrote nothing to its log")
+    words = f"{event.instance} {how} {when}"
+    return wording.with_log(words, tail) if tail else f"{words} and wrote nothing to its log"

@@ -67,6 +67,7 @@ class SavedState:
 
     ``values``: by role, the parameter values that were set at run time. ``file`` was brought up or applied last, if
     any, and ``changed_since``: another command has changed the specification then. ``lock``: a person has locked it.
+    ``reach``: as of :meth:`midstride.runtime.backend_protocol.Backend.reach`.
     """
 
     backend: str
@@ -78,6 +79,7 @@ class SavedState:
     file: str | None = None
     changed_since: bool = False
     lock: ChangeLock | None = None
+    reach: dict[str, str] = field(default_factory=dict)
 
 
 class StateStore:
@@ -133,6 +135,7 @@ class StateStore:
                 system.get("file") or None,
                 bool(system.get("changed_since")),
                 None if (lock := system.get(_LOCK)) is None else msgspec.json.decode(lock, type=ChangeLock),
+                msgspec.json.decode(system.get("reach", "{}"), type=dict[str, str]),
             )
         except ManagerError:
             raise
@@ -166,10 +169,11 @@ class StateStore:
         options: SystemOptions = NO_OPTIONS,
         file: str | None = None,
         changed_since: bool = False,
+        reach: Mapping[str, str] = Map(),
     ) -> None:
         """The system is being brought up or recovered."""
-        kept = msgspec.json.encode(options).decode()
-        system = ("version", str(VERSION), "backend", backend, "token", token, "options", kept)
+        kept, joined = (msgspec.json.encode(each).decode() for each in (options, dict(reach)))
+        system = ("version", str(VERSION), "backend", backend, "token", token, "options", kept, "reach", joined)
         self._specification = Specification("")
         # At once: half of this could not be read.
         statements: _Statements = {

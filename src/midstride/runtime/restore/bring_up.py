@@ -15,9 +15,10 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.runtime_values import of_change
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
-from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.backend_protocol import Exited, Handle
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.options import SystemOptions
+from midstride.runtime.process.reaper import process_info
 from midstride.runtime.records.journal_records import Interrupted
 from midstride.runtime.records.state_store import SavedState
 from midstride.runtime.restore.recovery import recover
@@ -117,7 +118,9 @@ class BringUp:
         else:
             plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
         # Before any component has the token.
-        self.store.begin(self.backend, self.client.token, running, self.options, system.file, system.changed_since)
+        reach = self.session.backend.reach()
+        origin = (system.file, system.changed_since)
+        self.store.begin(self.backend, self.client.token, running, self.options, *origin, reach)
         if plan.steps or specification != running:
             begun = await self.session.begin(plan, specification, "up", is_new=is_new, partial=partial, required=False)
             outcome = await self.session.carry_out(begun)
@@ -139,6 +142,7 @@ class BringUp:
             raise ManagerError(
                 f"{self.workspace} runs on {saved.backend}; use that back end, or `midstride down` first"
             )
+        self._require_same_reach(saved)
         if saved.specification != self.system.specification:
             raise ManagerError(
                 f"{self.workspace} is running with another specification; "
@@ -169,3 +173,27 @@ class BringUp:
             raise ManagerError(f"{words}. End the process that hangs with `kill -9`, then run `midstride up` again")
         present = self.system.configuration.instances_by_role
         return {each.role for each in gone if each.component.run is None and not present.get(each.role)}
+
+    def _require_same_reach(self, saved: SavedState) -> None:
+        """Raises ManagerError where components run that this manager cannot reach: in another domain, for example.
+
+        Each would report by its control socket, and what a manager starts or measures would be elsewhere.
+        """
+        mine = self.session.backend.reach()
+        other = {name: value for name, value in saved.reach.items() if mine.get(name, value) != value}
+        running = [entry.instance.name for entry in saved.instances if entry.handle and _runs(entry.handle)]
+        if not (other and running):
+            return
+        theirs = ", ".join(f"{name}={value}" for name, value in other.items())
+        this = ", ".join(f"{name}={mine[name]}" for name in other)
+        them, runs = ("it", "runs") if len(running) == 1 else ("them", "run")
+        raise ManagerError(
+            f"{', '.join(running)} {runs} with {theirs}, and this manager has {this}, so it would not reach {them}: "
+            f"run `midstride up` with {theirs} again, or `midstride down` first"
+        )
+
+
+def _runs(handle: Handle) -> bool:
+    """Whether its process runs; False where it is not known."""
+    info = None if handle.pid is None else process_info(handle.pid)
+    return info is not None and info.alive and info.started == handle.started

@@ -120,7 +120,7 @@ def crashed(watched: WatchedSystem) -> list[CrashedInstance]:
             None if role is None else system.remedy(role),
             respawner.status(role),
             role,
-            exited.because or f"{exited.words}{'' if exited.status is None else f' (status {exited.status})'}",
+            exited.details,
         )
         for name, exited in sorted({**system.life.missing, **system.life.exits}.items())
         if name not in system.configuration.instances

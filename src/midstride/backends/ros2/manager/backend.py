@@ -7,6 +7,7 @@ One hidden node in a context of its own, which looks at the graph and needs no t
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import sys
@@ -162,10 +163,19 @@ class Ros2Backend(ProcessBackend, Backend):
         command, environment = self._program(launch, self.settings)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
+        start_name = StartName(own_name)
+        if launch.foreign is None:
+            is_taken = graph.has_instance(own_name)
+        else:
+            if not launch.foreign.once:
+                start_name = self._foreign_nodes.start_name(launch, launch.foreign, graph.has)
+            is_taken = start_name.passed and graph.has(start_name.full)
+            if launch.foreign.gate != "relay" and start_name.full:
+                node = start_name.full
         if (
             launch.instance in self._processes
             or await processes.listens(self.transport, launch.instance)
-            or graph.has(own_name)
+            or is_taken
             or await self._foreign(node, names.system_tag(launch.token))
         ):
             raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
@@ -179,8 +189,8 @@ class Ros2Backend(ProcessBackend, Backend):
                 command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, _name_once(launch)))
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.gate == "relay":
-            return await self._start_relay(launch, launch.foreign, own_name, command, environment)
-        start_name = self._foreign_nodes.start_name(launch, launch.foreign, graph.has)
+            graph.starts(start_name.full)
+            return await self._start_relay(launch, launch.foreign, start_name.full, command, environment)
         environment, record = await self._foreign_nodes.prepare(
             launch, launch.foreign, start_name.full or own_name, environment
         )
@@ -283,6 +293,12 @@ class Ros2Backend(ProcessBackend, Backend):
 
     def reported(self, state: ComponentState) -> None:
         self._foreign_nodes.note(state)
+
+    def reach(self) -> dict[str, str]:
+        domain = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
+        with contextlib.suppress(ValueError):
+            domain = str(int(domain))
+        return {"ROS_DOMAIN_ID": domain, "RMW_IMPLEMENTATION": rclpy.get_rmw_implementation_identifier()}
 
     def unwritten(self) -> str | None:
         return self._foreign_nodes.unwritten()

@@ -120,7 +120,7 @@ class ForeignNodes:
             outputs=[port for port in component.outputs if port in launch.topics],
             stated=json_values(launch.parameters),
             taken_over=json_values(launch.set_parameters),
-            predecessor=full_name(launch.predecessor, launch.namespace) if launch.predecessor else None,
+            predecessor=self._node_name(launch.predecessor, launch.namespace) if launch.predecessor else None,
             was_active=(old := self._agents.get(launch.predecessor)) is not None and old.node.record.was_active,
             role=launch.role,
         )
@@ -255,6 +255,9 @@ class ForeignNodes:
     def node_of(self, instance: str) -> str | None:
         """The full name of the node of an instance, once it is known."""
         return None if (agent := self._agents.get(instance)) is None else agent.node.record.node
+
+    def _node_name(self, instance: str, namespace: str) -> str:
+        return self.node_of(instance) or full_name(instance, namespace)
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""

@@ -69,6 +69,10 @@ class Graph:
         """Whether a living instance, or a foreign node, of that name is in the graph."""
         return any(self._lives(info, full_name) for info in self._under(full_name))
 
+    def has_instance(self, full_name: str) -> bool:
+        """Whether a living instance of that name is in the graph. The name of its node is that of its role."""
+        return any(found.instance == full_name and self._lives(info, full_name) for info, found in self._controls())
+
     def of_name(self, node: str) -> set[InstanceNode | None]:
         """The living instances whose node has that name; None among them is a foreign node."""
         listed = self._node_names().count(node)

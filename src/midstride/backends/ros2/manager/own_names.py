@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -68,10 +69,15 @@ class OwnNames:
     def start_name(self, launch: Launch, unnamed: bool, runs: Callable[[str], bool]) -> StartName:
         """Return what the node of an instance is called. ``runs``: whether a node of that full name is in the graph.
 
-        Raises StartFailed.
+        A replacement gets another number than its instance has where a node outside the system has that name. Raises
+        StartFailed.
         """
         if not unnamed:
-            return StartName(full_name(launch.instance, launch.namespace))
+            name = launch.instance
+            if name != launch.role and runs(full_name(name, launch.namespace)):
+                names = (f"{launch.role}_{number}" for number in count(2))
+                name = next(each for each in names if not runs(full_name(each, launch.namespace)))
+            return StartName(full_name(name, launch.namespace))
         own = self._read().get(launch.role, "")
         if not own or not runs(own):
             return StartName(own, passed=False)

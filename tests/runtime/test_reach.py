@@ -1,0 +1,92 @@
+"""A manager that cannot reach the components which an earlier one has left, as in another ROS domain, says so."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from midstride.backends.simulator import Simulator
+from midstride.errors import ManagerError
+from midstride.runtime.backend_protocol import Handle
+from midstride.runtime.manager import Manager
+from midstride.runtime.process.reaper import process_info
+from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.workspace import Workspace
+from tests.runtime.systems import EXAMPLES, example, saved
+
+
+class Reaching(Simulator):
+    """A platform with ROS domains."""
+
+    def __init__(self, domain: str) -> None:
+        super().__init__()
+        self._domain = domain
+
+    def reach(self) -> dict[str, str]:
+        return {"ROS_DOMAIN_ID": self._domain, "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+
+
+def manager(folder: Path, simulator: Simulator) -> Manager:
+    return Manager(example("talker"), simulator, Workspace(folder), EXAMPLES / "talker")
+
+
+@pytest.mark.parametrize(("domain", "started"), [("150", 0.0), ("151", 1.0)])
+def test_nothing_is_adopted_that_could_not_be_reached(domain: str, started: float, tmp_path: Path) -> None:
+    """``started``: whether the process of the listener is the one that was started, or another one of its number."""
+    simulator = Reaching("150")
+
+    async def main() -> None:
+        first = manager(tmp_path, simulator)
+        await first.up()
+        await first.close()
+
+    simulator.run(main())
+    found = saved(Workspace(tmp_path))
+    assert found.reach == {"ROS_DOMAIN_ID": "150", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+    info = process_info(os.getpid())
+    assert info is not None
+    store = StateStore(Workspace(tmp_path).state)
+    store.take_over()
+    [listener] = [each for each in found.instances if each.instance.name == "listener"]
+    store.write_instance(listener.instance, Handle("listener", info.pid, info.started + started))
+    store.close()
+    other = Reaching(domain)
+
+    async def again() -> None:
+        await manager(tmp_path, other).up()
+
+    other.run(again())
+
+
+def test_a_manager_in_another_domain_refuses_to_begin(tmp_path: Path) -> None:
+    simulator = Reaching("150")
+
+    async def main() -> None:
+        first = manager(tmp_path, simulator)
+        await first.up()
+        await first.close()
+
+    simulator.run(main())
+    info = process_info(os.getpid())
+    assert info is not None
+    store = StateStore(Workspace(tmp_path).state)
+    store.take_over()
+    for each in saved(Workspace(tmp_path)).instances:
+        store.write_instance(each.instance, Handle(each.instance.name, info.pid, info.started))
+    store.close()
+    other = Reaching("151")
+
+    async def again() -> None:
+        second = manager(tmp_path, other)
+        with pytest.raises(ManagerError) as refused:
+            await second.up()
+        await second.close()
+        assert str(refused.value) == (
+            "listener, talker run with ROS_DOMAIN_ID=150, and this manager has ROS_DOMAIN_ID=151, so it would not "
+            "reach them: run `midstride up` with ROS_DOMAIN_ID=150 again, or `midstride down` first"
+        )
+
+    other.run(again())
+    assert saved(Workspace(tmp_path)).reach["ROS_DOMAIN_ID"] == "150", "nothing was changed"
