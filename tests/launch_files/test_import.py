@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -561,7 +562,22 @@ def test_names_that_are_words_of_the_language(tmp_path: Path) -> None:
 )
 def test_a_program_is_named_with_its_script(tmp_path: Path, command: str, shown: str, name: str) -> None:
     (finding,) = of_xml(tmp_path, f'<executable cmd="{command}"/>').findings
-    assert f"`{shown}` is started as the node `{name}`" in finding.message
+    assert f"`{shown}` is started as the node of `{name}`, which names itself" in finding.message
+
+
+def test_the_name_of_an_executable_is_a_label_and_no_name_of_a_node(tmp_path: Path) -> None:
+    """As in launch, which does not pass it to the program: a node in it keeps the name that the program gives it."""
+    found = of_xml(
+        tmp_path,
+        """<executable cmd="./bin/talker x" name="shown"/>
+        <executable cmd="./bin/other --ros-args -r __node:=own" name="label"/>""",
+    )
+    assert re.search(r'run "\./bin/talker x" gate preload unnamed', found.text)
+    assert re.search(r'run "\./bin/other" gate preload\n', found.text)
+    assert re.search(r"node shown *:", found.text) and re.search(r"node own *:", found.text)
+    first, second = (finding.message for finding in found.findings)
+    assert "`./bin/talker` is started as the node of `shown`, which names itself" in first
+    assert "`./bin/other` is started as the node `own`" in second
 
 
 def test_a_launch_file_of_ros_1_is_called_one(tmp_path: Path) -> None:
@@ -685,9 +701,9 @@ def test_an_executable_of_a_package_is_started_itself(tmp_path: Path) -> None:
         AMENT_PREFIX_PATH=str(tmp_path / "ros"),
     )
     assert [line.strip() for line in found.text.splitlines() if "run " in line] == [
-        'run "talker --x" package "demo" gate preload',
-        'run "talker --y" package "demo" gate preload',
-        'run "ros2 bag record /a" gate preload',
+        'run "talker --x" package "demo" gate preload unnamed',
+        'run "talker --y" package "demo" gate preload unnamed',
+        'run "ros2 bag record /a" gate preload unnamed',
     ]
 
 

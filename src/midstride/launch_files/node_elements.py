@@ -101,7 +101,7 @@ class NodeElements:
         program = _stem(command[last])
         name = self._name(ros.name or label or program, program, span)
         what = shlex.join(command[: last + 1])
-        known = "" if ros.name else f", by its {'label' if label else 'program'}"
+        known = f"the node `{name}`" if ros.name else f"the node of `{name}`, which names itself"
         node = LaunchedNode(
             name=name,
             namespace=self._namespace(ros.namespace),
@@ -112,9 +112,10 @@ class NodeElements:
             settings=tuple(self._given_by_arguments(ros, span)),
             ros_arguments=tuple(ros.others),
             package=package,
+            unnamed=ros.name is None,  # the label is launch's own, and the program is not passed it
         )
         if not ends(node):
-            message = f"`{what}` is started as the node `{name}`{known}; remove it if it does not take ROS's arguments"
+            message = f"`{what}` is started as {known}; remove it if it does not take ROS's arguments"
             self.findings.add("program", message, span, left_out=False)
         return node
 

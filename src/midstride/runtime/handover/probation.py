@@ -134,7 +134,7 @@ class Probation:
         if not seen.gated:
             because = await self.waits_for(new.instance)
             raise StepFailed(
-                f"{new} has written nothing within {timeout:g} s, so it cannot take over{because}{self._lost}"
+                f"{new} has written nothing within {timeout:.3g} s, so it cannot take over{because}{self._lost}"
             )
         if rate:
             foreign = self.configuration.component(new.instance).gate is not None
@@ -209,6 +209,6 @@ async def watch_after(
 
 def _words(port: PortRef, rate: float, window: float, verdict: RateVerdict) -> str:
     return (
-        f"{port} does not keep the {rate:g} Hz that its mode guarantees: in the last {window:g} s it wrote at "
+        f"{port} does not keep the {rate:g} Hz that its mode guarantees: in the last {window:.3g} s it wrote at "
         f"{verdict.rate:.3g} Hz, with a pause of {verdict.pause:.3g} s"
     )

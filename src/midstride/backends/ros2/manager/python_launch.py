@@ -229,12 +229,71 @@ class _Visitor:
         if kind == "OnShutdown":
             return self.note("unsupported", "what is done at the shutdown is left out")
         if not actions or kind not in {"OnProcessExit", "OnProcessStart", "OnExecutionComplete"}:
-            return self.note("unsupported", f"what a function does on an event (`{kind}`) is left out")
+            function = getattr(handler, "_OnActionEventBase__on_event", None)
+            return self._function(function, f"on an event (`{kind}`) of `{label}`", self._event(kind, target))
         if kind == "OnProcessExit":
             self._postpone(_AT_EXIT, f"when `{label}` has ended", actions)
         else:
             self._postpone(self._now(), f"when `{label}` has started", actions)
         return None
+
+    def _event(self, kind: str, action: Any) -> Any:
+        """An event as launch would send it where all goes well; None for another kind."""
+        from launch.events import process
+
+        details = {
+            "action": action,
+            "name": self._labels.get(id(action), ""),
+            "cmd": [],
+            "cwd": None,
+            "env": None,
+            "pid": 1,
+        }
+        match kind:
+            case "OnProcessExit":
+                return process.ProcessExited(returncode=0, **details)
+            case "OnProcessStart":
+                return process.ProcessStarted(**details)
+            case "OnExecutionComplete":
+                from launch.events import ExecutionComplete
+
+                return ExecutionComplete(action=action)
+        return None
+
+    def _function(self, function: Any, when: str, event: Any) -> None:
+        """Name what a function would start: whether and when it does is for the function to decide."""
+        code = getattr(function, "__code__", None)
+        place = self._place
+        if code is not None and not code.co_filename.startswith(os.path.dirname(self._launch.__file__) + os.sep):
+            place = code.co_filename, code.co_firstlineno
+        started: list[Any] = []
+        if callable(function) and event is not None:
+            try:
+                found = function(event, self.context)
+            except Exception as error:
+                message = f"what a function does {when} is left out, and not known: {_described(error)}"
+                return self.note("unsupported", message, place)
+            started = list(found) if isinstance(found, (list, tuple)) else [] if found is None else [found]
+        if not started:
+            return self.note("unsupported", f"what a function does {when} is left out", place)
+        for each in started:
+            message = f"{self._named(each)}, which a function returns {when}, is left out"
+            self.note("unsupported", message, getattr(each, "_midstride_place", place))
+        return None
+
+    def _named(self, entity: Any) -> str:
+        """What an action would start, in words."""
+        try:
+            if isinstance(entity, self._ros.Node):
+                name = entity._Node__node_name
+                program = f"`{self._text(entity.node_executable)}` of package `{self._text(entity.node_package)}`"
+                return program if name is None else f"the node `{self._text(name)}` ({program})"
+            if isinstance(entity, self._actions.ExecuteLocal):
+                words = [self._text(word) for word in entity.process_description.cmd]
+                return f"`{' '.join(words)}`"
+        except Exception:  # what it needs is known when launch has begun it only
+            pass
+        return f"`{type(entity).__name__}`"
 
     # -- processes -------------------------------------------------------------------------------------------
 
@@ -308,7 +367,8 @@ class _Visitor:
         elif all(isinstance(each, self._launch.LaunchDescriptionEntity) for each in actions):
             self._postpone(_AT_EXIT, f"when `{label}` has ended", actions)
         else:
-            self.note("unsupported", f"`on_exit` of `{label}` is left out: it is a function")
+            event = self._event("OnProcessExit", action)
+            self._function(stated, f"when `{label}` has ended (`on_exit`)", event)
 
     def _components(self, descriptions: Iterable[Any] | None) -> None:
         for description in descriptions or ():
