@@ -67,6 +67,17 @@ def test_what_a_predecessor_may_have_handled_before_it_exited_is_not_handled_aga
     assert new.handled == ["2"]
 
 
+def test_how_lately_a_request_was_handled_to_the_end_is_known() -> None:
+    server = Server(is_open=True)
+    assert not server.admission.answered_within(1.0)
+    server.receives("1")
+    assert not server.admission.answered_within(1.0)
+    server.time = 5.0
+    server.admission.finished("1")
+    server.time = 5.9
+    assert server.admission.answered_within(1.0) and not server.admission.answered_within(0.9)
+
+
 def test_a_request_is_held_for_a_bounded_time_and_in_bounded_number() -> None:
     new = Server(is_open=False)
     new.receives("old")

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from midstride.errors import Unreachable
+from midstride.node.control.command_handlers import RESPONSE_SECONDS
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from tests.runtime.counting import EXPORT, IMPORT, at_rates, counting, exchanged, for_messages, settle, system
@@ -194,6 +195,18 @@ def test_a_request_under_way_is_answered_before_its_process_ends(ask: PlanReques
         assert len(await caller.stop()) == len(caller.sent)
 
     serving(tmp_path, body, more=SLOW_SERVICE.format(seconds=4.0))
+
+
+def test_an_instance_that_has_just_responded_stays_until_its_response_has_arrived(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        caller = Caller(simulator, interval=0.01)
+        await settle(0.5)
+        await caller.stop()
+        responded = simulator.clock.steady()
+        await manager.down()
+        assert simulator.clock.steady() - responded >= RESPONSE_SECONDS - 0.1  # its last one may be so old
+
+    serving(tmp_path, body)
 
 
 def test_a_request_that_takes_too_long_is_given_up(tmp_path: Path) -> None:

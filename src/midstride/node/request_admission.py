@@ -36,6 +36,7 @@ class RequestAdmission:
         self._handled: OrderedDict[str, int] = OrderedDict()
         self._held: OrderedDict[str, tuple[int, Callable[[], object]]] = OrderedDict()
         self._unfinished: set[str] = set()
+        self._answered: int | None = None  # when the last request was handled to the end
         self._paused = False
         self.yields = 0
 
@@ -61,6 +62,11 @@ class RequestAdmission:
         """``request`` has been handled to the end, or its code has raised."""
         with self._lock:
             self._unfinished.discard(request)
+            self._answered = self._steady()
+
+    def answered_within(self, seconds: float) -> bool:
+        """Return whether a request was handled to the end within the last ``seconds``."""
+        return self._answered is not None and self._steady() < self._answered + seconds * 1e9
 
     @property
     def busy(self) -> bool:

@@ -39,6 +39,9 @@ T = TypeVar("T")
 SHUTDOWN_SECONDS: Final = 1.0
 # How long a request to a service that is being handled may take, once its instance is to end (s).
 REQUESTS_SECONDS: Final = 10.0
+# How long a server stays in ROS after its last response (s): a client whose middleware learns that the server has left
+# before it has read the response drops it, and the middleware does not say when a response has arrived.
+RESPONSE_SECONDS: Final = 0.5
 
 
 class Revision:
@@ -185,6 +188,8 @@ class CommandHandlers:
                 self.host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
             await self._attachments.close_all(0.5)
+        while self.host.admission.answered_within(RESPONSE_SECONDS):
+            await self.host.sleep(0.01)
 
     async def _finish_requests(self) -> None:
         """Answer the requests to services that are being handled, and begin with no other."""
@@ -249,6 +254,7 @@ class CommandHandlers:
         """
         callbacks = self.parts.callbacks
         requests = REQUESTS_SECONDS if self.host.admission.busy else 0.0
+        requests += RESPONSE_SECONDS if requests or self.host.admission.answered_within(RESPONSE_SECONDS) else 0.0
         return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
 
     def _parameters(self) -> dict[str, HeldParameter]:
