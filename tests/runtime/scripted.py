@@ -18,10 +18,11 @@ from msgspec import structs
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.backends.simulator.virtual_loop import run
 from midstride.codec.component_form import NamedComponentForm
-from midstride.errors import CallTimeout, CommandRefused, MidstrideError, Unreachable
+from midstride.errors import BackendError, CallTimeout, CommandRefused, MidstrideError, Unreachable
 from midstride.model.action import Action
 from midstride.model.component import ComponentSpec, StopTimes
 from midstride.model.configuration import Configuration, Instance
+from midstride.model.contract import Predicate
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.forms.plan_forms import PlanPreview
@@ -29,7 +30,15 @@ from midstride.plan.forms.step_forms import step_form
 from midstride.plan.overlap import Overlap
 from midstride.plan.plan import Plan
 from midstride.plan.step import Step
-from midstride.runtime.backend_protocol import DescribedProcess, Endpoints, Exited, Handle, Launch, RemainingProcess
+from midstride.runtime.backend_protocol import (
+    DescribedProcess,
+    Endpoints,
+    Exited,
+    Handle,
+    Launch,
+    RemainingProcess,
+    TopicListener,
+)
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.executor import Executor
@@ -362,6 +371,9 @@ class ScriptedBackend:
 
     def reported(self, state: ComponentState) -> None:
         pass
+
+    def listen(self, topic: str, assumption: Predicate) -> TopicListener:
+        raise BackendError(f"nothing is published on {topic}")
 
     def unwritten(self) -> str | None:
         return None

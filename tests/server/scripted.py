@@ -52,7 +52,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
         clock=clock,
         backend=backend,
         journal=records,
-        permission=ChangePermission(clock, events, cast(Any, records)),
+        permission=ChangePermission(cast(Any, backend), events, cast(Any, records)),
     )
     return WatchedSystem(cast(Any, session), nothing, nothing, 0)
 

@@ -141,6 +141,16 @@ declare namespace Api {
     explain?: boolean;
   }
 
+  /** What has to hold for a change to happen: of the last message on a topic that the manager listens to. */
+  interface ChangeRequirementForm {
+    topic: string;
+    assumption: PredicateForm;
+    /** how old that message may be at most */
+    max_age_seconds?: number;
+    /** restarts of crashed nodes, and restoring what has degraded, require it as well */
+    recovery?: boolean;
+  }
+
   /** What happened during a change; times in unix seconds. ``modes``: of its nodes, and of all that was lowered. */
   interface ChangeTimeline {
     since: number;
@@ -775,12 +785,13 @@ declare namespace Api {
     changeable?: boolean;
   }
 
-  /** Values to set at run time, all of them or none: of the parameters of a node, by name. `by`: who asks, for the history. `despite_lock`: also while the system is locked. */
+  /** Values to set at run time, all of them or none: of the parameters of a node, by name. `by`: who asks, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although what its changes require does not hold. */
   interface ParameterSetting {
     node: string;
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     by?: string | null;
     despite_lock?: boolean;
+    despite_requirements?: boolean;
   }
 
   /** A parameter of a component. Where it was set at run time, `declared` is the value that it was started with. */
@@ -823,6 +834,7 @@ declare namespace Api {
     revision?: number;
     running?: RunningCommand | null;
     lock?: ChangeLock | null;
+    requirements?: RequirementStatus[];
     condition?: SystemCondition;
     valid?: boolean;
     violations?: string[];
@@ -931,7 +943,7 @@ declare namespace Api {
     measured?: Record<string, [number, number, number]>;
   }
 
-  /** A plan, and the revision of the configuration that it was made for: `expected` of a change. `forbidden`: why it may not be carried out now; absent: it may. */
+  /** A plan, and the revision of the configuration that it was made for: `expected` of a change. `forbidden`: why it may not be carried out now; absent: it may. `requires`: what has to hold for that, and whether it does. */
   interface PlannedChange {
     strategy: string;
     proved_minimal: boolean;
@@ -979,6 +991,7 @@ declare namespace Api {
     measured?: Record<string, [number, number, number]>;
     revision: number;
     forbidden?: string;
+    requires?: RequirementStatus[];
   }
 
   /** A port of an instance on a topic, or on none, with what its component measures there on its ROS clock. In the stream, measurements are rounded, and refreshed where they change noticeably. */
@@ -1094,6 +1107,18 @@ declare namespace Api {
     after: SystemView | null;
   }
 
+  /** What changes require of a topic, and whether it holds now; what is unknown does not hold. */
+  interface RequirementStatus {
+    /** as the specification states it */
+    requirement: string;
+    topic: string;
+    /** restarts of what has crashed, and restoring, require it as well */
+    recovery: boolean;
+    holds: boolean;
+    /** why it does not hold */
+    because: string | null;
+  }
+
   /** Something of which there is a limited amount. */
   interface ResourceForm {
     capacity?: number;
@@ -1203,6 +1228,8 @@ declare namespace Api {
     nodes?: Record<string, NodeForm>;
     constraints?: ConstraintForm[];
     timing_seconds?: TimingForm;
+    /** what has to hold, all of it, for a change to happen */
+    changes_require?: ChangeRequirementForm[];
   }
 
   /** A version of the specification. */
@@ -1245,7 +1272,7 @@ declare namespace Api {
     sigkill?: number;
   }
 
-  /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked. */
+  /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although what its changes require does not hold. */
   interface SubmittedChange {
     request: ChangeRequest;
     expected?: number | null;
@@ -1256,6 +1283,7 @@ declare namespace Api {
     id?: string | null;
     by?: string | null;
     despite_lock?: boolean;
+    despite_requirements?: boolean;
   }
 
   /** A change to be rehearsed on the running specification, with faults that are drawn from a seed each time. `seeds`: how often; `first`: the first of the seeds. After `seconds` no further one is begun. */
@@ -1313,6 +1341,8 @@ declare namespace Api {
     running: RunningCommand | null;
     /** null: the system is not locked */
     lock: ChangeLock | null;
+    /** what changes require */
+    requirements: RequirementStatus[];
     /** what runs, and what is missing or worse than it should be */
     condition: SystemCondition;
     /** the configuration is, and its components report what the model has */

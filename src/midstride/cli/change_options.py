@@ -38,9 +38,11 @@ def wait_option(function: Any) -> Any:
     )(function)
 
 
-def despite_lock_option(function: Any) -> Any:
+def despite_options(function: Any) -> Any:
     summary = "Change the system although it is locked; the history says that you did."
-    return click.option("--despite-lock", is_flag=True, help=summary)(function)
+    lock = click.option("--despite-lock", is_flag=True, help=summary)
+    summary = "Change the system although what its changes require does not hold; the history says that you did."
+    return lock(click.option("--despite-requirements", is_flag=True, help=summary)(function))
 
 
 def declared_parameters_option(function: Any) -> Any:

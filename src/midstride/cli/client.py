@@ -111,13 +111,20 @@ class Client:
         return self._form(Why, "GET", _with_query("/why", {"functionality": functionality}))
 
     def set_parameters(
-        self, node: str, values: Mapping[str, Any], *, by: str, despite_lock: bool = False
+        self,
+        node: str,
+        values: Mapping[str, Any],
+        *,
+        by: str,
+        despite_lock: bool = False,
+        despite_requirements: bool = False,
     ) -> ParametersReport:
         """Set parameters of a role or an instance, once the commands before are done; all of them or none."""
         from midstride.codec.parameter import json_values
         from midstride.runtime.records.status_forms import ParametersReport
 
-        setting = {"node": node, "parameters": json_values(values), "by": by, "despite_lock": despite_lock}
+        setting: Document = {"node": node, "parameters": json_values(values), "by": by}
+        setting |= {"despite_lock": despite_lock, "despite_requirements": despite_requirements}
         return self._form(ParametersReport, "POST", "/parameters", setting, timeout=None)
 
     def specification(self) -> Specification:

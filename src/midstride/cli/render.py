@@ -53,6 +53,7 @@ _STYLES: Final = {
     "unlock": "yellow",
     "forbidden": "red",
     "override": "red",
+    "finished_despite": "red",
 }
 
 
@@ -109,10 +110,22 @@ def plan(plan: AnyPlan, title: str) -> RenderableType:
     if forbidden := getattr(plan, "forbidden", None):
         remarks.insert(0, Text(f"It may not be carried out now: {forbidden}", style="red"))
     parts = [*remarks, Text.from_markup(falls(plan)), *_runtime_values(plan)]
+    parts += _requirements(plan)
     for name, because in (plan.own_state or {}).items():
         parts.append(Text(f"{name} starts with its own state: {because}.", style="yellow"))
     parts.append(Text(cost(plan), style="dim"))
     return Group(Text(title, style="bold"), steps, *parts)
+
+
+def _requirements(plan: AnyPlan) -> Iterable[Text]:
+    """Yield what changes require of the specification that runs, and whether it holds now."""
+    if (judged := getattr(plan, "requires", None)) is not None:
+        for each in judged or ():
+            yield Text(f"Required: {each.words}.", style="default" if each.holds else "red")
+        return
+    if (start := getattr(plan, "start", None)) is not None:
+        for form in start.changes_require:
+            yield Text(f"Required when it is carried out: {form.requirement()}.")
 
 
 def _about(step: AnyStep) -> str:

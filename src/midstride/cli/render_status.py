@@ -45,7 +45,12 @@ def _heading(status: Status) -> str:
     since = ", changed since (`midstride history`)" if status.changed_since else ""
     origin = f"\n[dim]specification: {escape(as_typed_here(file))}{since}[/dim]" if file else ""
     lock = f"\n[yellow]{escape(lock_line(status.lock))}[/yellow]" if status.lock else ""
-    return f"[bold]{status.system}[/bold] on {status.backend}: {state}{activity}{lock}{origin}"
+    unmet = "".join(
+        f"\n[yellow]{escape(f'Changes are refused: {each.words}')}[/yellow]"
+        for each in status.requirements
+        if not each.holds
+    )
+    return f"[bold]{status.system}[/bold] on {status.backend}: {state}{activity}{lock}{unmet}{origin}"
 
 
 def lock_line(lock: ChangeLock) -> str:

@@ -10,7 +10,8 @@
                                 "respawn": {"delay_seconds": 2, "fallback": "SimpleTalker"}}},
      "constraints": [{"keep": "talker.talk", "at": "normal"}, {"limit": "talker.talk", "below_baseline_seconds": 2},
                      {"order": "talker", "before": "listener"}],
-     "timing_seconds": {"create": 0.5}}
+     "timing_seconds": {"create": 0.5},
+     "changes_require": [{"topic": "/estop/released", "assumption": {"type": …, "where": …}, "max_age_seconds": 1}]}
 
 What is the default may be left out, and is left out when it is written. Reading covers form and names; whether what is
 declared makes sense is for :mod:`midstride.model.specification_checks` to judge.
@@ -49,7 +50,7 @@ from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.name_checks import specification_names
 from midstride.model.respawn import RespawnPolicy
-from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
+from midstride.model.specification import ChangeRequirement, Constraint, Keep, Limit, Node, Order, Specification
 
 TopicName: TypeAlias = Annotated[str, field("the name of a topic", min_length=1)]
 
@@ -204,6 +205,35 @@ class ConstraintForm(ShapedForm, frozen=True):
         return Order(given(self.order) or "", given(self.before) or "")
 
 
+class ChangeRequirementForm(Form, frozen=True):
+    """What has to hold for a change to happen: of the last message on a topic that the manager listens to."""
+
+    what: ClassVar[str] = "a requirement of changes"
+
+    topic: TopicName
+    assumption: PredicateForm
+    max_age_seconds: Annotated[PositiveSeconds, Meta(description="how old that message may be at most")] | UnsetType = (
+        UNSET
+    )
+    recovery: Annotated[
+        bool, field("true or false", "restarts of crashed nodes, and restoring what has degraded, require it as well")
+    ] = False
+
+    @classmethod
+    def of(cls, requirement: ChangeRequirement) -> ChangeRequirementForm:
+        return cls(
+            topic=requirement.topic,
+            assumption=PredicateForm.of(requirement.assumption),
+            max_age_seconds=stated(requirement.max_age),
+            recovery=requirement.recovery,
+        )
+
+    def requirement(self) -> ChangeRequirement:
+        return ChangeRequirement(
+            self.topic, self.assumption.predicate(), given(finite(self.max_age_seconds)), self.recovery
+        )
+
+
 class TimingForm(Form, frozen=True):
     """How long steps take, where known, and for how long a hand-over tries and watches a new publisher."""
 
@@ -247,6 +277,10 @@ class SpecificationForm(Form, frozen=True):
     ] = {}
     constraints: Annotated[list[ConstraintForm], field("a list of constraints")] = []
     timing_seconds: TimingForm | UnsetType = UNSET
+    changes_require: Annotated[
+        list[ChangeRequirementForm],
+        field("a list of requirements", "what has to hold, all of it, for a change to happen"),
+    ] = []
 
     @classmethod
     def of(cls, specification: Specification) -> SpecificationForm:
@@ -276,6 +310,7 @@ class SpecificationForm(Form, frozen=True):
             nodes={role: NodeForm.of(node, specification) for role, node in sorted(specification.nodes.items())},
             constraints=[ConstraintForm.of(constraint) for constraint in specification.constraints],
             timing_seconds=TimingForm(**timing) if timing else UNSET,
+            changes_require=[ChangeRequirementForm.of(each) for each in specification.requirements],
         )
 
     def specification(self) -> Specification:
@@ -298,6 +333,7 @@ class SpecificationForm(Form, frozen=True):
             ),
             constraints=tuple(form.constraint() for form in self.constraints),
             timing=Map(timing),
+            requirements=tuple(form.requirement() for form in self.changes_require),
         )
 
 

@@ -27,7 +27,7 @@ from midstride.lang.source_map import SourceMap
 from midstride.lang.syntax import KeepStatement, OrderStatement
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.diagnostics import Problem
-from midstride.model.specification import Constraint, Keep, Limit, Order, Specification, initial
+from midstride.model.specification import ChangeRequirement, Constraint, Keep, Limit, Order, Specification, initial
 from midstride.model.specification_checks import check as check_specification
 
 # Warnings about the running system, which are meaningless as long as there are errors.
@@ -106,6 +106,7 @@ class _SpecificationBuilder:
             resources=Map({name: Resource(name, 1.0 if c is None else c.value) for name, c in capacities.items()}),
             constraints=tuple(self._constraints()),
             timing=Map({kind: duration.seconds.value for kind, duration in found.timing.items()}),
+            requirements=tuple(self._requirements()),
         )
 
     def _connectors(self) -> dict[str, Connector]:
@@ -123,6 +124,13 @@ class _SpecificationBuilder:
             guarantee = self.contracts.predicate(offer.contract, "an environment guarantee")
             topic = None if offer.topic is None else resolve_topic(namespace, offer.topic.text)
             yield EnvironmentGuarantee(name, guarantee or UNRESOLVED, topic)
+
+    def _requirements(self) -> Iterator[ChangeRequirement]:
+        for namespace, statement in self.declarations.requirements:
+            assumption = self.contracts.predicate(statement.contract, "what changes require")
+            max_age = None if statement.max_age is None else statement.max_age.value
+            topic = resolve_topic(namespace, statement.topic.text)
+            yield ChangeRequirement(topic, assumption or UNRESOLVED, max_age, statement.recovery)
 
     def _constraints(self) -> Iterator[Constraint]:
         for namespace, statement in self.declarations.constraints:

@@ -63,6 +63,7 @@ class Declarations:
     constraints: list[tuple[str, syntax.ConstraintStatement]] = field(default_factory=list)
     parameter_files: list[tuple[str, syntax.Name]] = field(default_factory=list)
     timing: dict[str, syntax.StepDuration] = field(default_factory=dict)
+    requirements: list[tuple[str, syntax.ChangesStatement]] = field(default_factory=list)
 
 
 def resolve_topic(namespace: str, name: str, node: str | None = None) -> str:
@@ -133,6 +134,11 @@ class _Collector:
                         found.constraints.append((namespace, item))
                     else:
                         report_excess("order", item.span, self.reporter)
+                case syntax.ChangesStatement():
+                    if len(found.requirements) < MAX_PARTS:
+                        found.requirements.append((namespace, item))
+                    else:
+                        report_excess("changes", item.span, self.reporter)
                 case syntax.KeepStatement() | syntax.LimitStatement():
                     found.constraints.append((namespace, item))
 

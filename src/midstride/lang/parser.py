@@ -60,6 +60,7 @@ class Parser(ComponentParser):
             "limit": lambda start: items.append(self._limit(start)),
             "order": lambda start: items.append(self._order(start)),
             "timing": lambda start: self._timing(start, items),
+            "changes": lambda start: items.append(self._changes(start)),
         }
 
     def _include(self) -> syntax.IncludeStatement:
@@ -236,6 +237,22 @@ class Parser(ComponentParser):
         before = self.topic("a node name after `order`")
         self.expect_word("before", "and another node")
         return syntax.OrderStatement(self.since(start), before, self.topic("a node name after `before`"))
+
+    def _changes(self, start: int) -> syntax.ChangesStatement:
+        recovery = self.accept_word("and")
+        if recovery:
+            self.expect_word("recovery", "after `changes and`")
+        self.expect_word("require", f"after `changes{' and recovery' if recovery else ''}`")
+        topic = self.topic("a topic name after `require`")
+        if topic.text.startswith("~"):
+            message = f"`{topic.text}` is private to a node, but this is not inside one"
+            self.reporter.report("E139", topic.span, message, help="write the full name: `/node/topic`")
+            topic = syntax.Name(topic.text[1:], topic.span)
+        self.layout.marks[self.i] = "changes :"
+        self.expect(":", f"after topic `{topic.text}`", ("path", "name"))
+        contract = self.contract(f"for topic `{topic.text}`")
+        max_age = self.seconds("the age of a message") if self.accept_word("max_age") else None
+        return syntax.ChangesStatement(self.since(start), topic, contract, max_age, recovery)
 
     def _timing(self, first: int, items: list[syntax.Item]) -> None:
         def duration() -> bool:

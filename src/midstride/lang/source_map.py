@@ -50,6 +50,8 @@ class SourceMap:
                 return resource.name.span if resource.capacity is None or not rest else resource.capacity.span
             case ("constraints", index, *rest) if _within(found.constraints, index):
                 return _constraint(found.constraints[int(index)][1], rest, problem.declared[:1] == ("nodes",))
+            case ("changes_require", index, *rest) if _within(found.requirements, index):
+                return _requirement(found.requirements[int(index)][1], rest)
             case ("timing_seconds", kind, *_) if kind in found.timing:
                 return found.timing[kind].kind.span
         return None if found.system is None else found.system.span
@@ -84,6 +86,17 @@ def _constraint(statement: syntax.ConstraintStatement, rest: Subject, of_node: b
             return statement.mode.span
         case syntax.LimitStatement(), ["below_baseline_seconds", *_]:
             return statement.seconds.span
+    return statement.span
+
+
+def _requirement(statement: syntax.ChangesStatement, rest: Subject) -> Span:
+    match rest:
+        case ["topic", *_]:
+            return statement.topic.span
+        case ["max_age_seconds", *_] if statement.max_age is not None:
+            return statement.max_age.span
+        case ["assumption", *inner]:
+            return _contract(statement.contract, inner, statement.contract.span)
     return statement.span
 
 

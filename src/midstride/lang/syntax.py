@@ -304,6 +304,16 @@ class OrderStatement(NamedTuple):
     then: Name
 
 
+class ChangesStatement(NamedTuple):
+    """``changes require TOPIC : CONTRACT max_age SECONDS``; ``recovery``: ``changes and recovery require …``."""
+
+    span: Span
+    topic: Name
+    contract: ContractExpression
+    max_age: Number | None
+    recovery: bool
+
+
 class StepDuration(NamedTuple):
     kind: Name
     seconds: Number
@@ -313,6 +323,7 @@ ConstraintStatement: TypeAlias = "KeepStatement | LimitStatement | OrderStatemen
 Item: TypeAlias = (
     "IncludeStatement | ContractDeclaration | TopicDeclaration | ResourceDeclaration | EnvironmentOffer"
     " | ComponentDeclaration | NodeDeclaration | NamespaceBlock | ParameterFile | ConstraintStatement | StepDuration"
+    " | ChangesStatement"
 )
 
 

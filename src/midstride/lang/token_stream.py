@@ -24,7 +24,7 @@ RESPAWN_WORDS: Final = ("respawn", "respawn_delay", "respawn_max_retries", "resp
 KEYWORD_PLACES: Final[Mapping[str, str]] = {
     "environment": "at the top level, in a namespace or in a component",
     **dict.fromkeys(
-        "system include contract topic resource component node namespace keep limit order timing".split(),
+        "system include contract topic resource component node namespace keep limit order timing changes".split(),
         "at the top level or in a namespace",
     ),
     **dict.fromkeys("run holds input output allows functionality".split(), "in a component"),

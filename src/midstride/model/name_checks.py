@@ -188,13 +188,18 @@ def specification_names(specification: Specification) -> list[Problem]:
     return with_suggestions(list(_specification_names(specification)))
 
 
+def _invalid_topic(topic: str, path: SubjectPath) -> Iterator[Problem]:
+    if not _TOPIC.fullmatch(topic):
+        yield Problem(
+            "E006", path, f"`{topic}` is not a valid topic name", "write the full name, which starts with `/`"
+        )
+
+
 def _specification_names(specification: Specification) -> Iterator[Problem]:
     yield from _invalid_name("system", specification.name, ("system",), read=True)
     for name, connector in sorted(specification.connectors.items()):
-        if not _TOPIC.fullmatch(connector.topic):
-            where = ("topics", name) if connector.topic == name else ("topics", name, "topic")
-            help = "write the full name, which starts with `/`"
-            yield Problem("E006", where, f"`{connector.topic}` is not a valid topic name", help)
+        where = ("topics", name) if connector.topic == name else ("topics", name, "topic")
+        yield from _invalid_topic(connector.topic, where)
     topics = {connector.topic for connector in specification.connectors.values()}
     for name in _repeated([offer.name for offer in specification.environment]):
         yield Problem("E007", ("environment", name), f"environment guarantee `{name}` is declared twice")
@@ -211,6 +216,8 @@ def _specification_names(specification: Specification) -> Iterator[Problem]:
         yield from _node_names(specification, node, ("nodes", role))
     for index in range(len(specification.constraints)):
         yield from _constraint_names(specification, index)
+    for index, requirement in enumerate(specification.requirements):
+        yield from _invalid_topic(requirement.topic, ("changes_require", str(index), "topic"))
     for kind in sorted(specification.timing):
         yield from _unknown("kind of step", kind, TIMING, ("timing_seconds", kind), ())
 

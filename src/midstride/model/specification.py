@@ -25,7 +25,7 @@ from midstride.model.component import (
     Resource,
 )
 from midstride.model.configuration import Configuration, Instance, SystemContext, configure
-from midstride.model.contract import format_number
+from midstride.model.contract import Predicate, format_number
 from midstride.model.respawn import RespawnPolicy
 
 # The duration of a step (s) where neither the file nor earlier runs provide one; the orders of magnitude are measured.
@@ -104,8 +104,30 @@ Constraint = Keep | Limit | Order
 
 
 @dataclass(frozen=True, slots=True)
+class ChangeRequirement:
+    """``changes require /topic : pkg/msg/Type where field = value max_age s``: a change may happen while that holds.
+
+    It holds if the last message on ``topic`` meets ``assumption``, whose fields alone count, and is not older than
+    ``max_age`` (s), if that is stated. ``recovery``: so may what the manager does without a command, by ``changes and
+    recovery require``.
+    """
+
+    topic: str
+    assumption: Predicate
+    max_age: float | None = None
+    recovery: bool = False
+
+    def __str__(self) -> str:
+        age = "" if self.max_age is None else f" max_age {format_number(self.max_age)} s"
+        return f"changes{' and recovery' if self.recovery else ''} require {self.topic} : {self.assumption}{age}"
+
+
+@dataclass(frozen=True, slots=True)
 class Specification:
-    """Everything a ``.stride`` file declares. ``timing`` holds what is stated of ``TIMING``, in s."""
+    """Everything a ``.stride`` file declares. ``timing`` holds what is stated of ``TIMING``, in s.
+
+    ``requirements``: what has to hold for a change to happen.
+    """
 
     name: str
     connectors: Map[str, Connector] = field(default_factory=Map)
@@ -115,6 +137,7 @@ class Specification:
     resources: Map[str, Resource] = field(default_factory=Map)
     constraints: tuple[Constraint, ...] = ()
     timing: Map[str, float] = field(default_factory=Map)
+    requirements: tuple[ChangeRequirement, ...] = ()
     _context: SystemContext | None = field(default=None, init=False, compare=False, repr=False)
 
     @property

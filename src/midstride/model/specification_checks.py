@@ -23,7 +23,7 @@ from midstride.model.component import (
 )
 from midstride.model.component_rules import component_rules, number_problems, predicate_problems, value_problems
 from midstride.model.configuration import Configuration, to_fraction
-from midstride.model.contract import Contract, Predicate, explain, format_number, satisfies
+from midstride.model.contract import DEFAULT_QOS, Contract, Predicate, explain, format_number, satisfies
 from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.gate_checks import gate_problems, gated_node_problems, managed_twice
@@ -58,6 +58,7 @@ def check(specification: Specification) -> tuple[Problem, ...]:
     found += _too_many_publishers(specification)
     found += _capacities(specification)
     found += _constraint_problems(specification)
+    found += _requirement_problems(specification)
     found += _unsatisfiable(specification)
     if named:
         whole = structure(specification)
@@ -200,6 +201,26 @@ def _constraint_problems(specification: Specification) -> Iterator[Problem]:
                 yield Problem("E024", path, f"`{constraint}` contradicts {others}", "remove one of them")
             else:
                 after.setdefault(constraint.first, []).append((constraint.then, constraint))
+
+
+def _requirement_problems(specification: Specification) -> Iterator[Problem]:
+    """Requirements of changes that every message meets, or that state what is not judged."""
+    for index, requirement in enumerate(specification.requirements):
+        path, assumption = ("changes_require", str(index)), requirement.assumption
+        where = (*path, "assumption")
+        yield from predicate_problems(assumption, where)
+        yield from number_problems(requirement.max_age, "the age of a message", (*path, "max_age_seconds"))
+        if assumption.type and not assumption.fields:
+            message = (
+                f"changes require nothing of {requirement.topic}: no field is constrained, so every message meets it"
+            )
+            yield Problem("E004", where, message, "add `where …`")
+        if assumption.rate is not None:
+            message = f"changes are allowed by the last message on {requirement.topic}, so its rate is not judged"
+            yield Problem("E004", (*where, "rate"), message, "leave out the rate; `max_age 1 s` bounds its age")
+        if assumption.qos != DEFAULT_QOS:
+            message = f"the manager listens to {requirement.topic} so that it hears publishers of every QoS"
+            yield Problem("E004", (*where, "qos"), message, "leave out the QoS")
 
 
 def _path(after: dict[str, list[tuple[str, Order]]], start: str, end: str) -> list[Order] | None:

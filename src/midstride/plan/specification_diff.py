@@ -279,6 +279,12 @@ def _rest(old: Specification, new: Specification) -> Iterator[Difference]:
     for constraint in new.constraints:
         if constraint not in old.constraints:
             yield Difference(f"constraint `{constraint}`", "added")
+    for requirement in old.requirements:
+        if requirement not in new.requirements:
+            yield Difference(f"`{requirement}`", "removed")
+    for requirement in new.requirements:
+        if requirement not in old.requirements:
+            yield Difference(f"`{requirement}`", "added")
     if details := tuple(_named("step", old.timing, new.timing)):
         yield Difference("timing", "changed", details)
 

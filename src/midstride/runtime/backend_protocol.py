@@ -13,7 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
+from midstride.errors import BackendError
 from midstride.model.component import ComponentSpec, ParameterSection, StopTimes
+from midstride.model.contract import Predicate
 from midstride.model.wording import exception_in
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
@@ -127,6 +129,31 @@ class Endpoints:
     subscribers: tuple[tuple[str, str], ...] = ()
 
 
+class HeardMessage(NamedTuple):
+    """What is known of the last message on a topic that the manager listens to.
+
+    ``at``: when it arrived (steady s); None where none has, or the publisher that wrote it is gone. ``unmet``: the
+    fields that do not meet what is assumed, with their values. ``publishers``: how many there are now. ``problem``: why
+    it cannot be known, in words.
+    """
+
+    at: float | None = None
+    unmet: tuple[str, ...] = ()
+    publishers: int = 0
+    problem: str | None = None
+
+
+class TopicListener(Protocol):
+    """The manager's subscription to one topic."""
+
+    def heard(self) -> HeardMessage:
+        """The last message, as far as it is known now."""
+        ...
+
+    def close(self) -> None:
+        """Listen no more."""
+
+
 class Backend(Protocol):
     """A platform. One without spare processes, or that need not know what a component reports, inherits its methods."""
 
@@ -217,6 +244,14 @@ class Backend(Protocol):
 
         Its topic; None where there is no discovery that could stop, or where the manager's own has.
         """
+
+    def listen(self, topic: str, assumption: Predicate) -> TopicListener:
+        """Listen to a topic as the manager: by each message's fields, it meets ``assumption`` or does not.
+
+        Publishers of every QoS are heard, and what those have kept that are transient local. Raises BackendError where
+        the platform cannot, or the message type is not installed.
+        """
+        raise BackendError(f"on {self.name}, the manager cannot listen to topics")
 
     async def lingering_readers(self, topic: str) -> int:
         """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""

@@ -150,6 +150,7 @@ class Manager:
             self._client.token = saved.token  # by which the components recognize their manager
             self.system.file, self.system.changed_since = saved.file, saved.changed_since
         await self._backend.open(self._reconciler.on_exit)
+        self._session.permission.follow(self.specification.requirements)
         self._watch.start()
         async with self._reconciler.command(f"up {self.specification.name}"):
             interrupted = await self._journal.take_over()

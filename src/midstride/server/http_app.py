@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, FastAPI, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -201,11 +201,15 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         lifecycle.require_up()
         revision = manager.revision
         found = await manager.plan(request)
-        forbidden = manager.watched.permission.refusal()
+        permission = manager.watched.permission
+        allowed: dict[str, Any] = {
+            "forbidden": permission.refusal() or UNSET,
+            "requires": permission.requirements() or UNSET,
+        }
 
         def response() -> Response:
             others = alternatives(found) if request.explain else UNSET
-            planned = PlannedChange.of(found, revision=revision, alternatives=others, forbidden=forbidden or UNSET)
+            planned = PlannedChange.of(found, revision=revision, alternatives=others, **allowed)
             return answer(planned)
 
         return await asyncio.to_thread(response)

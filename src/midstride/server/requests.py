@@ -45,7 +45,8 @@ class SubmittedChange(Form, frozen=True):
     until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is
     to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any
     text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command`
-    belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked.
+    belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked;
+    `despite_requirements`: although what its changes require does not hold.
     """
 
     what: ClassVar[str] = "a change"
@@ -59,16 +60,18 @@ class SubmittedChange(Form, frozen=True):
     id: Annotated[str, field("an id", max_length=100)] | None = None
     by: Annotated[str, field("who asks", max_length=200)] | None = None
     despite_lock: bool = False
+    despite_requirements: bool = False
 
     @property
     def override(self) -> Override:
-        return Override(lock=self.despite_lock)
+        return Override(self.despite_lock, self.despite_requirements)
 
 
 class ParameterSetting(Form, frozen=True):
     """Values to set at run time, all of them or none: of the parameters of a node, by name.
 
-    `by`: who asks, for the history. `despite_lock`: also while the system is locked.
+    `by`: who asks, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although
+    what its changes require does not hold.
     """
 
     what: ClassVar[str] = "a setting of parameters"
@@ -77,10 +80,11 @@ class ParameterSetting(Form, frozen=True):
     parameters: Annotated[dict[str, ValueForm], field("an object of values", min_length=1)]
     by: Annotated[str, field("who asks", max_length=200)] | None = None
     despite_lock: bool = False
+    despite_requirements: bool = False
 
     @property
     def override(self) -> Override:
-        return Override(lock=self.despite_lock)
+        return Override(self.despite_lock, self.despite_requirements)
 
 
 class LockRequest(Form, frozen=True, kw_only=True):

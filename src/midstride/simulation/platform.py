@@ -56,8 +56,9 @@ class Platform(Simulator):
         self.next_start_fails = False
         for topic in self.network.topics.values():
             topic.dropping, topic.delay = 0, 0.0
-        for process in list(self.network.undiscovering):
-            process.kill()
+        for owner in list(self.network.undiscovering):
+            if isinstance(owner, SimulatedProcess):
+                owner.kill()
         self.network.undiscovering.clear()
         for process in self.stand_ins():
             process.thaw()

@@ -36,12 +36,13 @@ _described: Final[dict[str, tuple[ComponentSpec, dict[str, Any]]]] = {}
 def with_stand_ins(specification: Specification, stateless: Collection[str] = ()) -> Specification:
     """``specification`` with a stand-in as the program of each component that has one.
 
-    ``stateless``: the components that have no state to move, as drivers of devices often.
+    ``stateless``: the components that have no state to move, as drivers of devices often. What changes require is taken
+    for met: what is published outside the system is not simulated.
     """
     components = {
         name: _stand_in(component, name not in stateless) for name, component in specification.components.items()
     }
-    return replace(specification, components=Map(components))
+    return replace(specification, components=Map(components), requirements=())
 
 
 def _stand_in(component: ComponentSpec, keeps_state: bool) -> ComponentSpec:

@@ -14,12 +14,14 @@ from midstride.backends.simulator.control import SimulatedControl
 from midstride.backends.simulator.cooperative_thread import simulated_sleep
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.injected_faults import Faults
+from midstride.backends.simulator.manager_listener import MANAGER, SimulatedListener
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import BackendError, StartFailed
 from midstride.model.component import StopTimes
+from midstride.model.contract import Predicate
 from midstride.model.instance_names import full_name, log_file_name
 from midstride.node.component_host import Host
 from midstride.node.diagnostic_status import DiagnosticEntry
@@ -175,7 +177,9 @@ class Simulator(Backend):
         return Endpoints(
             nodes=frozenset(process.node for process in self.processes.values() if process.main is not None),
             publishers=tuple((w.owner.node, name) for name, topic in found for w in topic.writers),
-            subscribers=tuple((r.owner.node, name) for name, topic in found for r in topic.readers),
+            subscribers=tuple(
+                (r.owner.node, name) for name, topic in found for r in topic.readers if r.owner.node != MANAGER
+            ),
         )
 
     @asynccontextmanager
@@ -187,6 +191,9 @@ class Simulator(Backend):
             yield topic
         finally:
             del self.network.probes[topic]
+
+    def listen(self, topic: str, assumption: Predicate) -> SimulatedListener:
+        return SimulatedListener(self.network, topic, assumption)
 
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
         return SimulatedProcess(launch, self._pids, self.time, self._host, self._exited, log)

@@ -12,12 +12,22 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from midstride.backends.simulator.message_copy import copied
 from midstride.backends.simulator.simulated_process import THAW_INTERVAL, SimulatedProcess
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.model.contract import QoS
+
+
+class EndpointOwner(Protocol):
+    """What has an endpoint: the name of its ROS node, and until when it is frozen (steady s; 0: it is not)."""
+
+    @property
+    def node(self) -> str: ...
+
+    @property
+    def thawed_at(self) -> float: ...
 
 
 class SimulatedWriter:
@@ -66,7 +76,7 @@ class SimulatedReader:
     """A subscribing endpoint; ``wake`` has its process take one message from the queue."""
 
     def __init__(
-        self, network: Network, owner: SimulatedProcess, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
+        self, network: Network, owner: EndpointOwner, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
     ) -> None:
         self.owner = owner
         self.topic = topic
@@ -121,7 +131,7 @@ class Network:
         self.random = random.Random(seed)
         self._identities = 0
         # The processes that find no endpoints any more, and since when (steady s): a fault.
-        self.undiscovering: dict[SimulatedProcess, float] = {}
+        self.undiscovering: dict[EndpointOwner, float] = {}
         # What is in flight between two endpoints, in order: timers of the same moment fire in any order.
         self._in_flight: dict[tuple[SimulatedWriter, SimulatedReader], deque[tuple[float, Any, Any]]] = {}
 
@@ -141,7 +151,7 @@ class Network:
         return writer
 
     def create_reader(
-        self, owner: SimulatedProcess, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
+        self, owner: EndpointOwner, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
     ) -> SimulatedReader:
         reader = SimulatedReader(self, owner, topic, type_, qos, wake)
         self.topic(topic).readers.append(reader)

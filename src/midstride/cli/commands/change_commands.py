@@ -36,6 +36,7 @@ class RequestOptions:
     verify: bool
     yes: bool
     despite_lock: bool
+    despite_requirements: bool
 
 
 def request_options(function: Any) -> Any:
@@ -50,15 +51,17 @@ def request_options(function: Any) -> Any:
         verify: bool,
         yes: bool,
         despite_lock: bool,
+        despite_requirements: bool,
         **arguments: Any,
     ) -> int:
-        options = RequestOptions(system, strategy, detours, wait, verify, yes, despite_lock)
+        despite = (despite_lock, despite_requirements)
+        options = RequestOptions(system, strategy, detours, wait, verify, yes, *despite)
         return int(function(options=options, **arguments))
 
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
     summary = "Verify the plan with Alloy before it starts, and the running system after each step."
     verify = click.option("--verify", is_flag=True, help=summary)
-    decorated = change_options.despite_lock_option(verify(yes(with_options)))
+    decorated = change_options.despite_options(verify(yes(with_options)))
     decorated = change_options.strategy_options(change_options.wait_option(decorated))
     return json_option(system_option(decorated))
 
@@ -281,7 +284,7 @@ def _change(
         console(stderr=wants_json()).print(render.plan(preview, title))
         if dry_run:
             return 0
-        if preview.forbidden and not options.despite_lock:
+        if preview.forbidden and not (options.despite_lock or options.despite_requirements):
             raise ChangeForbidden(preview.forbidden)
         if preview.steps and not click.confirm("Proceed?", err=True):
             click.echo("Nothing was changed.", err=True)
@@ -292,6 +295,7 @@ def _change(
 
     sending = Sending(uuid.uuid4().hex)
     document |= {"by": asked_by(title), "despite_lock": options.despite_lock, "id": sending.id}
+    document["despite_requirements"] = options.despite_requirements
     try:
         outcome = _carry_out(client, document, title, sending, show_plan=options.yes)
     except (KeyboardInterrupt, BrokenPipeError, SystemExit):  # rich exits where the reader of its output has gone

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midstride.cli import shell_completion
-from midstride.cli.change_options import despite_lock_option, misread, parse_value
+from midstride.cli.change_options import despite_options, misread, parse_value
 from midstride.cli.command_list import Group
 from midstride.cli.output import json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
@@ -105,10 +105,12 @@ def get_command(node: str, name: str, system: str | None) -> int:
 @_node
 @_name
 @click.argument("value")
-@despite_lock_option
+@despite_options
 @system_option
 @json_option
-def set_command(node: str, name: str, value: str, despite_lock: bool, system: str | None) -> int:
+def set_command(
+    node: str, name: str, value: str, despite_lock: bool, despite_requirements: bool, system: str | None
+) -> int:
     """Set a parameter of NODE, by its own callback, as `ros2 param set` does.
 
     VALUE is read as YAML: 2, 0.5 and [1.0, 2.0] are numbers, true and on are booleans, and '"on"' is a string.
@@ -118,7 +120,9 @@ def set_command(node: str, name: str, value: str, despite_lock: bool, system: st
     client, _ = find(system)
     try:
         values = {name: parse_value(value)}
-        report = client.set_parameters(node, values, by=user_name(), despite_lock=despite_lock)
+        report = client.set_parameters(
+            node, values, by=user_name(), despite_lock=despite_lock, despite_requirements=despite_requirements
+        )
     except CommandRefused as error:
         from midstride.codec.parameter import value_of
 

@@ -1,26 +1,32 @@
-"""Whether a change of the running system may happen now (docs/how-to/lock.md).
+"""Whether a change of the running system may happen now (docs/protocols/permission.md).
 
-A person may lock the system, for a reason: then no command changes it but `down`. What the manager does without a
-command, restarting what has crashed and restoring what has degraded, goes on unless the lock holds that back as well.
+A person may lock the system, for a reason: then no command changes it but `down`. And a specification may state what
+has to hold, as ``changes require``, of topics that the manager listens to. What the manager does without a command,
+restarting what has crashed and restoring what has degraded, goes on unless the lock or the requirement holds that back
+as well.
 """
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
-from midstride.errors import ChangeForbidden
-from midstride.runtime.manager_clock import Clock
+from midstride.errors import BackendError, ChangeForbidden
+from midstride.model.contract import format_number
+from midstride.model.specification import ChangeRequirement
+from midstride.runtime.backend_protocol import Backend, HeardMessage, TopicListener
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.state_store import StateStore
-from midstride.runtime.records.status_forms import ChangeLock
+from midstride.runtime.records.status_forms import ChangeLock, RequirementStatus
 
-# How often a restart that is held back looks whether it may happen (s).
+# How often a restart that is held back looks whether it may happen, and how often the requirements are looked at while
+# nothing asks for a change, so that the status and the log show when one begins or ceases to hold (s).
 ASK_AGAIN: Final = 0.5
 _UNLOCK: Final = "`midstride unlock` ends that, `--despite-lock` changes the system all the same"
+_REQUIRED: Final = "`--despite-requirements` changes the system all the same"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +34,7 @@ class Override:
     """What a command overrides deliberately, so that it changes the system all the same."""
 
     lock: bool = False
+    requirements: bool = False
 
 
 NO_OVERRIDE: Final = Override()
@@ -37,13 +44,105 @@ NO_OVERRIDE: Final = Override()
 class ChangePermission:
     """Decides whether changes may happen, and keeps the lock for the next manager. ``now`` gives the UNIX time."""
 
-    clock: Clock
+    backend: Backend
     events: EventLog
     store: StateStore
     now: Callable[[], float] = time.time
     _lock: ChangeLock | None = None
     _expiry: asyncio.Task[None] | None = None
+    _listeners: dict[ChangeRequirement, TopicListener | str] = field(default_factory=dict)  # or why there is none
+    _shown: list[RequirementStatus] = field(default_factory=list)
+    _watching: asyncio.Task[None] | None = None
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+
+    # -- the decision ------------------------------------------------------------------------------------
+
+    def refusal(self, override: Override = NO_OVERRIDE, *, recovery: bool = False) -> str | None:
+        """Why a change must not begin now, None if it may. ``recovery``: the manager makes it without a command."""
+        return self._locked(override, recovery) or self.unmet(override, recovery=recovery)
+
+    def _locked(self, override: Override, recovery: bool) -> str | None:
+        lock = self._lock
+        if lock is None or override.lock or (recovery and not lock.holds_recovery):
+            return None
+        return f"{lock.words}; {_UNLOCK}"
+
+    def unmet(self, override: Override = NO_OVERRIDE, *, recovery: bool = False) -> str | None:
+        """Which requirements do not hold now, and why; None if all do. A lock does not count here."""
+        if override.requirements:
+            return None
+        found = [each for each in self.requirements() if not each.holds and (each.recovery or not recovery)]
+        return f"{'; '.join(each.words for each in found)}; {_REQUIRED}" if found else None
+
+    def overridden(self, override: Override) -> str | None:
+        """What a change with ``override`` ignores now, in words; None if nothing."""
+        found = [self._lock.words] if self._lock is not None and override.lock else []
+        if override.requirements:
+            found += [each.words for each in self.requirements() if not each.holds]
+        return "; ".join(found) or None
+
+    async def until_recovery(self) -> None:
+        """Return when the manager may restart what has crashed."""
+        while self.refusal(recovery=True) is not None:
+            await self.backend.clock.sleep(ASK_AGAIN)
+
+    async def close(self) -> None:
+        """Listen no more, and watch for the end of the lock no more; the next manager does."""
+        self._cancel()
+        self.follow(())
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    # -- requirements ------------------------------------------------------------------------------------
+
+    def follow(self, requirements: tuple[ChangeRequirement, ...]) -> None:
+        """From now on, changes require these. A topic that was listened to for the same goes on."""
+        for gone in self._listeners.keys() - set(requirements):
+            listener = self._listeners.pop(gone)
+            if not isinstance(listener, str):
+                listener.close()
+        for requirement in requirements:
+            if requirement not in self._listeners:
+                self._listeners[requirement] = self._listen(requirement)
+        if self._listeners and self._watching is None:
+            self._watching = self._begin(self._watch())
+        elif not self._listeners and self._watching is not None:
+            self._watching.cancel()
+            self._watching = None
+
+    def _listen(self, requirement: ChangeRequirement) -> TopicListener | str:
+        try:
+            return self.backend.listen(requirement.topic, requirement.assumption)
+        except BackendError as error:
+            return str(error)
+
+    def requirements(self) -> list[RequirementStatus]:
+        """What changes require, and whether it holds now."""
+        return list(self._judged())
+
+    def _judged(self) -> Iterator[RequirementStatus]:
+        for requirement, listener in self._listeners.items():
+            heard = HeardMessage(problem=listener) if isinstance(listener, str) else listener.heard()
+            because = why_unmet(requirement, heard, self.backend.clock.steady())
+            yield RequirementStatus(
+                requirement=str(requirement),
+                topic=requirement.topic,
+                recovery=requirement.recovery,
+                holds=because is None,
+                because=because,
+            )
+
+    async def _watch(self) -> None:
+        """Say when a requirement begins or ceases to hold."""
+        while True:
+            found = self.requirements()
+            before = {each.requirement: each for each in self._shown}
+            self._shown = found
+            for each in found:
+                if before.get(each.requirement) != each:
+                    self.events.add("requirement", each.words)
+            await self.backend.clock.sleep(ASK_AGAIN)
+
+    # -- the lock ----------------------------------------------------------------------------------------
 
     @property
     def current_lock(self) -> ChangeLock | None:
@@ -79,38 +178,21 @@ class ChangePermission:
         if lock is not None:
             self._take(lock)
 
-    def refusal(self, override: Override = NO_OVERRIDE, *, recovery: bool = False) -> str | None:
-        """Why a change must not begin now, None if it may. ``recovery``: the manager makes it without a command."""
-        lock = self._lock
-        if lock is None or override.lock or (recovery and not lock.holds_recovery):
-            return None
-        return f"{lock.words}; {_UNLOCK}"
-
-    def overridden(self, override: Override) -> str | None:
-        """What a change with ``override`` ignores now, in words; None if nothing."""
-        return None if self._lock is None or not override.lock else self._lock.words
-
-    async def until_recovery(self) -> None:
-        """Return when the manager may restart what has crashed."""
-        while self.refusal(recovery=True) is not None:
-            await self.clock.sleep(ASK_AGAIN)
-
-    async def close(self) -> None:
-        """Watch for the end of the lock no more; the next manager does."""
-        self._cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-
     def _take(self, lock: ChangeLock) -> None:
         self._lock = lock
         if lock.until is not None:
-            self._expiry = asyncio.get_running_loop().create_task(self._expire(lock, lock.until))
-            self._tasks.add(self._expiry)
-            self._expiry.add_done_callback(self._tasks.discard)
+            self._expiry = self._begin(self._expire(lock, lock.until))
 
     async def _expire(self, lock: ChangeLock, until: float) -> None:
-        await self.clock.sleep(max(0.0, until - self.now()))
+        await self.backend.clock.sleep(max(0.0, until - self.now()))
         self._expiry = None
         self._end(f"the lock of {lock.by} has ended, as it said: {lock.reason}")
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
 
     def _cancel(self) -> None:
         expiry, self._expiry = self._expiry, None
@@ -122,3 +204,16 @@ class ChangePermission:
         self._cancel()
         self.store.write_lock(None)
         self.events.add("unlock", words)
+
+
+def why_unmet(requirement: ChangeRequirement, heard: HeardMessage, now: float) -> str | None:
+    """Why a requirement does not hold ``now`` (steady s), None if it does. What is unknown does not allow a change."""
+    if heard.problem is not None:
+        return heard.problem
+    if not heard.publishers:
+        return "no publisher"
+    if heard.at is None:
+        return "no message has arrived of the publishers that are there now"
+    if requirement.max_age is not None and now - heard.at > requirement.max_age:
+        return f"the last message is older than {format_number(requirement.max_age)} s"
+    return "; ".join(heard.unmet) or None

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
 from msgspec import UNSET, UnsetType, structs
 
-from midstride.errors import ManagerError, PlanRefused, StepFailed, Superseded
+from midstride.errors import ChangeForbidden, ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
 from midstride.model.action import Action, Create, Upgrade
 from midstride.model.component import PortRef
@@ -25,6 +25,7 @@ from midstride.model.wording import counted
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms.plan_forms import PlanForm, PlanPreview
+from midstride.plan.lowering import PlanLowering
 from midstride.plan.overlap import overlap
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
@@ -99,7 +100,7 @@ class ChangeSession:
         self.system, self.client, self.launcher = shared.system, shared.client, shared.launcher
         self.events, self.store, self.commands = shared.events, shared.store, shared.commands
         self.monitor, self.clock = shared.monitor, self.backend.clock
-        self.permission = ChangePermission(self.clock, self.events, self.store)
+        self.permission = ChangePermission(self.backend, self.events, self.store)
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
@@ -173,6 +174,7 @@ class ChangeSession:
             )
         except ManagerError as error:
             return self._refuse(str(error), verdict)
+        change.require = self._requirements_during(change, override, recovery)
         return await self.carry_out(change)
 
     def forbidden(self, what: str, override: Override, *, recovery: bool = False) -> str | None:
@@ -183,6 +185,29 @@ class ChangeSession:
         elif (ignored := self.permission.overridden(override)) is not None:
             self.events.add("override", f"{what}: carried out although {ignored}")
         return because
+
+    def _requirements_during(
+        self, change: RunningChange, override: Override, recovery: bool
+    ) -> Callable[[Sequence[int]], None]:
+        """What is called with the steps that are about to begin.
+
+        Before any that lower a functionality, the requirements are judged once more. Where one does not hold, the
+        change goes on if to finish it lowers less than to roll it back; else ChangeForbidden is raised.
+        """
+        lowering = PlanLowering(change.plan)
+
+        def require(indices: Sequence[int]) -> None:
+            if not self.system.specification.requirements or not any(map(lowering.lowers, indices)):
+                return
+            if (because := self.permission.unmet(override, recovery=recovery)) is None:
+                return
+            finishing, rolling_back = lowering.finishing(indices[0]), lowering.rolling_back(indices[0])
+            less = f"to finish lowers {finishing}, to roll back {rolling_back}"
+            if not lowering.is_better_finished(indices[0]):
+                raise ChangeForbidden(f"{because}; {less}")
+            self.events.add("finished_despite", f"the change goes on before step {indices[0] + 1}, {less}: {because}")
+
+        return require
 
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
@@ -351,6 +376,7 @@ class ChangeSession:
                 system.changed_since = True
                 self.store.write_specification(change.target)
             system.specification = change.target
+            self.permission.follow(change.target.requirements)
             system.configuration = plan.change.in_target_context(system.configuration)
             self.launcher.redeclared(system.configuration.instances.values())
             system.forget_filled_roles()

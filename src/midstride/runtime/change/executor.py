@@ -95,6 +95,7 @@ class Executor:
             try:
                 if self.interrupted:  # since the round before has ended
                     raise asyncio.CancelledError
+                self.change.require(indices)
                 await self.change.entry.step(*(self._described[index] for index in indices))
                 self._starts.check()
                 if isinstance(action := actions[indices[0]], Create) and not action.instance.component.once:

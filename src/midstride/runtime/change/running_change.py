@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Coroutine
+from collections.abc import Callable, Collection, Coroutine, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,8 +36,9 @@ class RunningChange:
     ``partial``: an instance that cannot be created is left out, and its steps end with the creations; by role,
     ``left_out`` says why. The caller plans the rest again without these roles.
 
-    ``commanding`` is held while an action sends commands to components that run already, and to which the response to a
-    crash may send some: a component refuses the second of two changes at one revision.
+    ``require`` is called with the steps of each round before it begins, and raises MidstrideError where the change must
+    not go on. ``commanding`` is held while an action sends commands to components that run already, and to which the
+    response to a crash may send some: a component refuses the second of two changes at one revision.
     """
 
     plan: Plan
@@ -57,6 +58,7 @@ class RunningChange:
     because: str | None = None  # why it is not done
     observers: list[ChangeObserver] = field(default_factory=list)
     commanding: asyncio.Lock = field(default_factory=asyncio.Lock)
+    require: Callable[[Sequence[int]], None] = lambda _: None
     actions: list[Action] = field(init=False)
     leaving: frozenset[str] = field(init=False)  # the instances that the plan removes
     _steps: asyncio.Task[None] | None = None  # until they have ended

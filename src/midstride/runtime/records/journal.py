@@ -35,8 +35,8 @@ T = TypeVar("T")
 
 # The kinds of events that are incidents.
 INCIDENTS: Final = frozenset(
-    """up down lock unlock forbidden override exited killed left_out silence fenced degraded restore restore_ended
-    respawn respawn_ended parameters rollback_failed""".split()
+    """up down lock unlock forbidden override finished_despite exited killed left_out silence
+    fenced degraded restore restore_ended respawn respawn_ended parameters rollback_failed""".split()
 )
 # How many statements are kept in memory while the disk refuses them.
 BACKLOG: Final = 2_000

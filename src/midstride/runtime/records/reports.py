@@ -18,7 +18,7 @@ from midstride.plan.forms.plan_forms import PlanForm, PlanPreview
 from midstride.plan.forms.step_forms import AnyStep
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.runtime.records.measure import SwapReport
-from midstride.runtime.records.status_forms import SilenceFault
+from midstride.runtime.records.status_forms import RequirementStatus, SilenceFault
 from midstride.verdicts import Assessments
 from midstride.verify.verdict import Verdict
 
@@ -124,11 +124,13 @@ class Outcome(Report, frozen=True, kw_only=True):
 class PlannedChange(PlanForm, frozen=True, kw_only=True):
     """A plan, and the revision of the configuration that it was made for: `expected` of a change.
 
-    `forbidden`: why it may not be carried out now; absent: it may.
+    `forbidden`: why it may not be carried out now; absent: it may. `requires`: what has to hold for that, and
+    whether it does.
     """
 
     revision: int
     forbidden: str | UnsetType = UNSET
+    requires: list[RequirementStatus] | UnsetType = UNSET
 
 
 class LiveConfiguration(Report, frozen=True):

@@ -260,6 +260,21 @@ class ChangeLock(Report, frozen=True, kw_only=True):
         return f"the system is locked by {self.by} since {_local_time(self.since)}, {end}: {self.reason}"
 
 
+class RequirementStatus(Report, frozen=True, kw_only=True):
+    """What changes require of a topic, and whether it holds now; what is unknown does not hold."""
+
+    requirement: Annotated[str, Meta(description="as the specification states it")]
+    topic: str
+    recovery: Annotated[bool, Meta(description="restarts of what has crashed, and restoring, require it as well")]
+    holds: bool
+    because: Annotated[str | None, Meta(description="why it does not hold")]
+
+    @property
+    def words(self) -> str:
+        """The requirement, and whether it holds."""
+        return f"{self.requirement}: {'it holds' if self.holds else self.because}"
+
+
 def _local_time(at: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(at))
 
@@ -285,6 +300,7 @@ class Status(Report, frozen=True, kw_only=True):
     revision: int
     running: Annotated[RunningCommand | None, Meta(description="the command in progress")]
     lock: Annotated[ChangeLock | None, Meta(description="null: the system is not locked")] = None
+    requirements: Annotated[list[RequirementStatus], Meta(description="what changes require")] = []
     condition: Annotated[SystemCondition, Meta(description="what runs, and what is missing or worse than it should be")]
     valid: Annotated[bool, Meta(description="the configuration is, and its components report what the model has")]
     violations: list[str]

@@ -91,6 +91,7 @@ def system_values(watched: WatchedSystem) -> dict[str, Any]:
         "backend": backend.name,
         "revision": system.revision,
         "lock": watched.permission.current_lock,
+        "requirements": watched.permission.requirements(),
         "crashed": crashed(watched),
         "unwritten": "; ".join(filter(None, refused)) or None,
         "damaged": watched.journal.damaged,

@@ -55,7 +55,7 @@ export function mountTop(element, context) {
   replace(part("#tools"), ...tools(context));
   draw();
   drawConnection();
-  store.subscribe(["instances", "crashed", "topics", "condition", "violations", "phase", "running", "lock", "system", "time"], draw);
+  store.subscribe(["instances", "crashed", "topics", "condition", "violations", "phase", "running", "lock", "requirements", "system", "time"], draw);
   store.subscribe(["connection", "time", "instances"], drawConnection);
   setInterval(drawConnection, 1000);
   element.dataset.ready = "true";
@@ -88,6 +88,9 @@ function summaryOf(view) {
   if (view.phase !== "up") found.push({ kind: "warn", words: view.phase });
   const { lock } = view;
   if (lock) found.push({ kind: "bad", words: `⚿ locked by ${lock.by}: ${lock.reason}` });
+  for (const each of view.requirements ?? []) {
+    if (!each.holds) found.push({ kind: "warn", words: `⚿ changes are refused: ${each.topic}, ${each.because}` });
+  }
   if (view.running) found.push({ kind: "warn", words: `⟳ ${view.running.command}` });
   return found;
 }

@@ -34,6 +34,7 @@ def modelled_view(configuration: Configuration, system: str, backend: str, at: f
         revision=0,
         running=None,
         lock=None,
+        requirements=[],
         condition=system_condition(len(configuration.instances_by_role), len(configuration.instances_by_role), found),
         valid=not found,
         violations=found,

@@ -17,6 +17,7 @@ from midstride.runtime.records.status_forms import (
     InstanceStatus,
     Middleware,
     Phase,
+    RequirementStatus,
     RunningCommand,
     SilenceFault,
     SpareStatus,
@@ -89,6 +90,7 @@ class Patch(Report, frozen=True, kw_only=True):
     revision: int | UnsetType = UNSET
     running: RunningCommand | UnsetType | None = UNSET
     lock: ChangeLock | UnsetType | None = UNSET
+    requirements: list[RequirementStatus] | UnsetType = UNSET
     condition: SystemCondition | UnsetType = UNSET
     valid: bool | UnsetType = UNSET
     violations: list[str] | UnsetType = UNSET

@@ -36,11 +36,13 @@ from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_services import RosNodeServices
 from midstride.backends.ros2.manager.own_names import StartName
+from midstride.backends.ros2.manager.topic_listener import RosListener
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import KILL_AT_ONCE, ComponentSpec, StopTimes
+from midstride.model.contract import Predicate
 from midstride.model.instance_names import full_name
 from midstride.runtime.backend_protocol import (
     Backend,
@@ -334,6 +336,9 @@ class Ros2Backend(ProcessBackend, Backend):
             self._probe_stuck = True
             log.error("the middleware of the manager does not return: it may have stopped discovering")
             return None
+
+    def listen(self, topic: str, assumption: Predicate) -> RosListener:
+        return RosListener(self._node, self._joined(), topic, assumption)
 
     async def lingering_readers(self, topic: str) -> int:
         return self._joined().lingering_readers(topic)

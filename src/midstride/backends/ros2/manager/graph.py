@@ -197,6 +197,12 @@ class Graph:
         instances = self._instances_of(map(self._process, infos))
         return sum(not self._lives(info, self._name(info, instances)) for info in infos)
 
+    def living_publishers(self, topic: str) -> list[Any]:
+        """The publishers on ``topic`` whose process is not known to be dead."""
+        infos = self._publishers(topic)
+        instances = self._instances_of(map(self._process, infos))
+        return [info for info in infos if self._lives(info, self._name(info, instances))]
+
     def _visible(self, infos: list[Any], instances: _Instances) -> list[str]:
         named = [(info, self._name(info, instances)) for info in infos if not names.is_hidden(_node(info))]
         return [name for info, name in named if self._lives(info, name)]
