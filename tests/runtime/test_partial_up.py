@@ -87,7 +87,7 @@ def test_what_can_be_started_runs_and_what_cannot_is_crashed_with_its_reason(tmp
         why = await manager.why("listener.listen")
         assert why.remedies == [f"{REASON}; `midstride restart talker` restores it"]
         history = await manager.history(10)
-        assert [(each.command, each.outcome) for each in history.changes] == [("up", "incomplete"), ("up", "done")]
+        assert [(each.command, each.outcome) for each in history.changes] == [("up", "incomplete")]
         assert {each.version for each in history.changes} == {1}
         assert [each.words.partition(":")[0] for each in history.incidents if each.kind == "left_out"] == [
             "talker is left out"
@@ -191,6 +191,68 @@ def test_those_that_hang_are_waited_for_at_the_same_time(tmp_path: Path, program
         assert simulator.clock.steady() < REGISTRATION_TIMEOUT + 5
 
     up(specification, tmp_path, programs, body)
+
+
+def seen_at(seconds: float, found: list[dict[str, str]]) -> Callable[[Simulator], None]:
+    """Note which modes the components are in so many seconds after the start, by the components themselves."""
+
+    def prepare(simulator: Simulator) -> None:
+        simulator.time.loop.call_later(seconds, lambda: found.append(simulated_modes(simulator)))
+
+    return prepare
+
+
+def simulated_modes(simulator: Simulator) -> dict[str, str]:
+    return {
+        f"{name}.{functionality}": state.mode
+        for name, process in sorted(simulator.processes.items())
+        if process.state is not None
+        for functionality, state in process.state.functionalities.items()
+    }
+
+
+def test_what_does_not_need_a_node_that_hangs_comes_up_meanwhile(tmp_path: Path, programs: Path) -> None:
+    found: list[dict[str, str]] = []
+
+    async def body(manager: Manager, simulator: Simulator, report: UpReport) -> None:
+        assert "did not register within" in report.missing["talker"]
+        assert found == [{"listener.listen": "degraded", "other.talk": "normal"}]
+        assert sorted(simulator.processes) == ["listener", "other"] == report.instances
+        assert await modes(manager) == {"listener.listen": "degraded", "other.talk": "normal"}
+
+    specification = talkers(programs)
+    (programs / "talker.py").write_text(HANGS)
+    up(specification, tmp_path, programs, body, prepare=seen_at(5.0, found))
+
+
+def test_one_that_hangs_and_one_that_crashes_do_not_delay_the_third(tmp_path: Path, programs: Path) -> None:
+    found: list[dict[str, str]] = []
+
+    async def body(manager: Manager, simulator: Simulator, report: UpReport) -> None:
+        assert sorted(report.missing) == ["listener", "talker"]
+        assert found == [{"other.talk": "normal"}] and sorted(simulator.processes) == ["other"]
+
+    specification = talkers(programs)
+    (programs / "talker.py").write_text(HANGS)
+    (programs / "listener.py").write_text(BROKEN)
+    up(specification, tmp_path, programs, body, prepare=seen_at(5.0, found))
+
+
+def test_a_node_that_takes_long_joins_the_others_and_is_not_started_twice(tmp_path: Path, programs: Path) -> None:
+    found: list[dict[str, str]] = []
+
+    async def body(manager: Manager, simulator: Simulator, report: UpReport) -> None:
+        assert (report.outcome, report.missing, report.degraded) == ("done", {}, [])
+        assert found == [{"listener.listen": "degraded", "other.talk": "normal"}]
+        assert set((await modes(manager)).values()) == {"normal"}
+        assert sorted(simulator.processes) == ["listener", "other", "talker"]
+        assert 20 < simulator.clock.steady() < 25
+
+    specification = talkers(programs)
+    (programs / "talker.py").write_text(
+        "import time\ntime.sleep(20)\n" + (EXAMPLES / "talker" / "talker.py").read_text()
+    )
+    up(specification, tmp_path, programs, body, prepare=seen_at(5.0, found))
 
 
 def test_a_constraint_on_what_relies_on_it_does_not_keep_the_rest_down(tmp_path: Path, programs: Path) -> None:

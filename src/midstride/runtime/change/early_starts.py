@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -58,6 +59,11 @@ class EarlyStarts:
             return False
         self.store.write_instance(instance, system.life[instance.name].handle)
         return True
+
+    async def start_before(self, action: Create) -> None:
+        """As ``start``, before the step of ``action``, where its failure shows. Raises Superseded."""
+        with suppress(StartFailed):
+            await self._start_ahead(action)
 
     async def _start_ahead(self, action: Create) -> None:
         """As ``start``, before its step. Raises Superseded: then this manager leaves no process that it has started.

@@ -27,6 +27,7 @@ from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.change.running_change import RunningChange
+from midstride.runtime.change.step_order import StepOrder
 from midstride.runtime.handover.cut_turns import CutTurn, CutTurns, GivenUp
 from midstride.runtime.process.child_process import tail as tail_of
 from midstride.runtime.process.log_runs import text_of_latest_run
@@ -39,6 +40,9 @@ log = logging.getLogger(__name__)
 # How often it is looked whether a process has exited whose connection has closed, and how long that is apart (s).
 EXIT_LOOKS: Final = 10
 EXIT_INTERVAL: Final = 0.05
+# Where what cannot be started is left out: after how long without a registration (s) the steps go on that do not need
+# a process that has not registered.
+LATE: Final = 1.0
 
 # The actions that are done, each with the configuration that it was applied to.
 DoneActions = list[tuple[Action, Configuration]]
@@ -57,6 +61,10 @@ class Executor:
     _described: dict[int, str] = field(default_factory=dict)  # those of each step that has begun
     _done: DoneActions = field(default_factory=list)
     _times: dict[int, StepTime] = field(default_factory=dict)
+    _order: StepOrder = field(init=False)
+    _last: int = -1  # the last step of the round
+    _looked_up: int = 0  # the number of steps up to which early starts have begun
+    _awaited: set[int] = field(default_factory=set)  # the steps that were late
 
     def __post_init__(self) -> None:
         self._starts = EarlyStarts(self.driver, self.store)
@@ -83,16 +91,19 @@ class Executor:
         """
         self.change.happened(ChangeEvent.BEGUN)
         self._began = self.driver.backend.clock.steady()
-        actions, looked_up = self.change.actions, 0
+        actions = self.change.actions
         overlap = overlap or one_by_one(actions)
-        for indices in overlap.rounds:
-            if self.change.left_out and not (self.interrupted or isinstance(actions[indices[0]], Create)):
-                break
-            for index in indices:
-                self._described[index] = actions[index].describe(self.system.configuration)
-                self.driver.events.add("step", self._numbered(index, self._described[index]), **self._position(index))
+        self._order = order = StepOrder([*overlap.rounds], lambda: self.change.plan.dependencies)
+        while indices := order.next() or tuple(order.late[:1]):
             failures: dict[int, BaseException]
             try:
+                if self.change.partial and not self.interrupted and await self._is_late(indices[0], overlap):
+                    continue
+                for index in indices:
+                    self._described[index] = actions[index].describe(self.system.configuration)
+                    self.driver.events.add(
+                        "step", self._numbered(index, self._described[index]), **self._position(index)
+                    )
                 if self.interrupted:  # since the round before has ended
                     raise asyncio.CancelledError
                 self.change.require(indices)
@@ -100,10 +111,8 @@ class Executor:
                 self._starts.check()
                 if isinstance(action := actions[indices[0]], Create) and not action.instance.component.once:
                     await self._starts.start(action)
-                # The later creations whose processes may start from now on, where the steps before are done.
-                numbers, looked_up = range(looked_up, indices[0] + 1), indices[0] + 1
-                ahead = [index for number in numbers for index in overlap.starts.get(number, ()) if index > indices[0]]
-                self._starts.begin(action for index in ahead if isinstance(action := actions[index], Create))
+                self._begin_ahead(indices[0], overlap)
+                self._last = indices[-1]
                 failures = await self._round(indices)
             except StartFailedEarly as early:  # not this step has failed, but a later one
                 failures = {actions.index(early.action): early.error}
@@ -121,6 +130,35 @@ class Executor:
             self.change.happened(ChangeEvent.LEFT_OUT, because)
         else:
             self.change.happened(ChangeEvent.ALL_DONE)
+
+    def _begin_ahead(self, first: int, overlap: Overlap) -> None:
+        """Start the processes of later creations that may start now: the steps before ``first`` are done."""
+        numbers, self._looked_up = range(self._looked_up, first + 1), max(self._looked_up, first + 1)
+        ahead = [index for number in numbers for index in overlap.starts.get(number, ()) if index > first]
+        actions = (self.change.actions[index] for index in ahead if not self._order.is_blocked(index))
+        self._starts.begin(action for action in actions if isinstance(action, Create))
+
+    async def _is_late(self, index: int, overlap: Overlap) -> bool:
+        """In a partial change, return whether a step is postponed: a process takes so long to start.
+
+        Where nothing else is left to be done, it waits for the first of those that were postponed.
+        """
+        launcher, action = self.driver.launcher, self.change.actions[index]
+        if not isinstance(action, Create) or action.instance.component.once or index in self._awaited:
+            return False
+        if index in self._order.late:
+            late = {each: next(iter(self.change.actions[each].instances())) for each in self._order.late}
+            first = await launcher.first_decided(late.values())
+            index = next((each for each, name in late.items() if name == first), index)
+            self._order.resume(index)
+            self._awaited.add(index)
+            return True
+        await self._starts.start_before(action)
+        self._begin_ahead(index, overlap)
+        if await launcher.first_decided([action.instance.name], LATE) is not None:
+            return False
+        self._order.postpone(index)
+        return True
 
     def _interrupt(self) -> None:
         self.interrupted = True
@@ -190,7 +228,7 @@ class Executor:
         if turn is not None:
             turn.ended = True
             await turn.turns.waiting(self.driver.watch(action))
-        if index == len(self.change.actions) - 1:
+        if self._order.ended and index == self._last:
             await self.driver.await_inputs()
         await self.change.step_done(self.system.configuration)
         self._times[index] = StepTime(index + 1, round(begun - self._began, 6), round(clock.steady() - begun, 6))
@@ -254,6 +292,8 @@ class Executor:
             change.left_out[instance.role] = why
             self.driver.events.add("left_out", f"{instance.role} is left out: {why}")
         self._done = [(action, before) for action, before in self._done if failed.keys().isdisjoint(action.instances())]
+        own = (index for index, action in enumerate(change.actions) if not failed.keys().isdisjoint(action.instances()))
+        self._order.leave_out(own)
         return True
 
     async def _run_program(self, action: Create) -> Configuration:
@@ -283,7 +323,8 @@ class Executor:
             raise StepFailed(because, "failed") from error
         self.change.happened(ChangeEvent.STEP_FAILED, because)
         await self._starts.stop()
-        problems = [*await self._abandon(self.change.actions[indices[0] :]), *await self._roll_back(self._done)]
+        begun = min([indices[0], *self._order.late])
+        problems = [*await self._abandon(self.change.actions[begun:]), *await self._roll_back(self._done)]
         if problems:
             because += f"; and the roll-back failed: {'; '.join(problems)}"
         self.change.happened(ChangeEvent.NOT_UNDONE if problems else ChangeEvent.UNDONE, because)

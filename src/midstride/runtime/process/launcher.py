@@ -85,6 +85,7 @@ class Launcher:
         self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
         self._exits: dict[str, asyncio.Future[Exited]] = {}
         self._started_at: dict[str, float] = {}  # steady s
+        self._startups: dict[str, float] = {}  # how long these take to start besides, as their components state (s)
         self._components: dict[str, ComponentSpec] = {}  # of the processes that it has started or adopted
         self._asked: dict[str, float] = {}  # how long these take to end, as they have said (s)
         self._to_end: set[str] = set()  # of those that start, the ones whose program is to end
@@ -135,6 +136,7 @@ class Launcher:
         set_values = start_values(instance)
         self._exits[name] = asyncio.get_running_loop().create_future()
         self._started_at[name] = self._backend.clock.steady()
+        self._startups[name] = instance.component.startup_seconds or 0.0
         if instance.component.once:  # it does not register
             self._to_end.add(name)
             self._starting[name] = asyncio.get_running_loop().create_future()
@@ -249,29 +251,64 @@ class Launcher:
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
         name, run = instance.name, instance.component.run
         registering, exiting = self._starting[name], self._exits[name]
-        patience = self._patience(self._started_at[name], instance.component.startup_seconds or 0.0)
-        timeout, stopped = asyncio.ensure_future(patience), asyncio.ensure_future(self._stopped(name))
-        first: set[asyncio.Future[Any]] = {registering, exiting, timeout, stopped}
-        try:
-            await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            timeout.cancel()
-            stopped.cancel()
+        waited = await self._decided(name)
         if registering.done():
             return registering.result()
         if exiting.done():
             ended = exiting.result()
             raise StartFailed(_describe_exit(ended, f"before it registered{maybe_done(instance.component, ended)}"))
-        if stopped.done():
+        if waited is None:
             raise StartFailed(f"{name} was stopped (SIGSTOP) before it registered, and not continued for {STOPPED:g} s")
         where = f"was started with `{run}`" if run else "is started elsewhere"
         handle = self._life[name].handle
         log = f" Its log: {handle.log}" if handle is not None and handle.log else ""
         raise StartFailed(
-            f"{name} did not register within {timeout.result():g} s (it {where}); does its program "
-            f"create a Component and call start()? If it needs longer, state `takes {2 * timeout.result():g} s` after "
+            f"{name} did not register within {waited:g} s (it {where}); does its program "
+            f"create a Component and call start()? If it needs longer, state `takes {2 * waited:g} s` after "
             f"its `run` command.{log}"
         )
+
+    async def _decided(self, name: str) -> float | None:
+        """Wait until a process that starts has registered or exited, was stopped, or has had its time.
+
+        Returns how long that was (s), None if it has not had it.
+        """
+        patience = self._patience(self._started_at[name], self._startups[name])
+        timeout, stopped = asyncio.ensure_future(patience), asyncio.ensure_future(self._stopped(name))
+        first: set[asyncio.Future[Any]] = {self._starting[name], self._exits[name], timeout, stopped}
+        try:
+            await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+            return timeout.result() if timeout.done() and not timeout.cancelled() else None
+        finally:
+            timeout.cancel()
+            stopped.cancel()
+
+    async def first_decided(self, names: Iterable[str], quiet: float | None = None) -> str | None:
+        """The first of these processes that has registered or exited, was stopped, or has had its time to register.
+
+        One that was not started counts as well. None after ``quiet`` s in which no process has registered.
+        """
+        waiting = {}
+        for name in names:
+            if name not in self._starting:
+                return name
+            waiting[asyncio.ensure_future(self._decided(name))] = name
+        if not waiting:
+            return None
+        idle = None if quiet is None else asyncio.ensure_future(self._quiet(waiting.values(), quiet))
+        first: set[asyncio.Future[Any]] = {*waiting, *(() if idle is None else (idle,))}
+        try:
+            done, _ = await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+            return next((name for each, name in waiting.items() if each in done), None)
+        finally:
+            for each in first:
+                each.cancel()
+
+    async def _quiet(self, names: Iterable[str], seconds: float) -> None:
+        """Return when no process has registered for so long (s), nor one of these has been started."""
+        clock, begun = self._backend.clock, max(self._started_at[name] for name in names)
+        while (left := max(begun, self._last_registration) + seconds - clock.steady()) > 0:
+            await clock.sleep(left)
 
     async def _welcome(self, name: str) -> ComponentState:
         """Accept a component that has registered; returns its state.
@@ -326,6 +363,7 @@ class Launcher:
 
     def _forget_start(self, name: str) -> None:
         self._started_at.pop(name, None)
+        self._startups.pop(name, None)
         self._to_end.discard(name)
         for waiting in (self._starting.pop(name, None), self._exits.pop(name, None)):
             if waiting is not None:
