@@ -1,12 +1,15 @@
-"""ROS's own parser of parameter files (librcl_yaml_param_parser), called without a process or a node."""
+"""ROS's own parser of parameters (librcl_yaml_param_parser): of files, and of the arguments of a node's process.
+
+It is called without a process or a node.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
@@ -93,32 +96,60 @@ def rcl_parser() -> Any | None:
     return None
 
 
+class Unreadable(Exception):
+    """The parser refuses an argument: a node with it does not start."""
+
+
 def rcl_sections(files: Sequence[Path]) -> list[tuple[str, dict[str, Any]]] | None:
     """The sections that rcl has after it has read these files; None if it refuses one of them.
 
     A parameter without a value is None. Of a name that occurs twice in a section, the last counts, as for a node.
     """
-    with parsing() as (library, into):
-        for path in files:
-            if not library.rcl_parse_yaml_file(os.fsencode(path), into):
-                library.reset_error()
-                return None
-        return list(sections_of_rcl(into.contents))
+    try:
+        return _sections([("--params-file", os.fspath(path)) for path in files])
+    except Unreadable:
+        return None
 
 
-@contextmanager
-def parsing() -> Iterator[tuple[Any, Any]]:
-    """The library, and where it puts what it reads."""
+def effective(rules: Sequence[tuple[str, str]], node: str) -> dict[str, Any]:
+    """The parameters of the node with this full name, in the order of precedence of rclcpp.
+
+    ``rules``: arguments of the process in their order, ``-p`` with a rule or ``--params-file`` with a path. Raises
+    Unreadable.
+    """
+    found: dict[str, Any] = {}
+    for section, values in _sections(rules):
+        pattern = (section if section.startswith("/") else f"/{section}").replace("/*", r"(/\w+)")
+        if re.fullmatch(pattern, node):
+            found |= values
+    return found
+
+
+def _sections(rules: Sequence[tuple[str, str]]) -> list[tuple[str, dict[str, Any]]]:
+    """Those that the library has after it has read the arguments, in their order. Raises Unreadable."""
     library = rcl_parser()
     assert library is not None
     into = library.rcl_yaml_node_struct_init(library.allocator)
     try:
-        yield library, into
+        for option, rule in rules:
+            if option == "--params-file":
+                done = library.rcl_parse_yaml_file(os.fsencode(rule), into)
+            else:
+                name, _, value = rule.partition(":=")
+                of, _, parameter = name.rpartition(":")
+                if not re.fullmatch(r"[A-Za-z_][\w./~{}]*", parameter):
+                    raise Unreadable(rule)
+                section = "/**" if not of else of if of.startswith("/") else f"/{of}"
+                done = library.rcl_parse_yaml_value(section.encode(), parameter.encode(), value.encode(), into)
+            if not done:
+                library.reset_error()
+                raise Unreadable(rule)
+        return list(_read(into.contents))
     finally:
         library.rcl_yaml_node_struct_fini(into)
 
 
-def sections_of_rcl(found: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+def _read(found: Any) -> Iterator[tuple[str, dict[str, Any]]]:
     """The sections of what the library has read."""
     for index in range(found.count):
         of_node = found.parameters[index]

@@ -106,9 +106,12 @@ def seconds_in_words(value: float) -> str:
 # -- the facts of a change, each as an assessment -----------------------------------------------------------------
 
 
-def below_level(functionality: str, seconds: float) -> Assessment:
-    """A functionality was below its level for so long, by the modes that components have acknowledged."""
-    words = f"{functionality} was below its level for {seconds_in_words(seconds)}"
+def below_level(functionality: str, seconds: float, *, at_least: bool = False) -> Assessment:
+    """A functionality was below its level for so long, by the modes that components have acknowledged.
+
+    ``at_least``: nothing has measured when the node that serves it now had begun its work.
+    """
+    words = f"{functionality} was below its level for {'at least ' if at_least else ''}{seconds_in_words(seconds)}"
     return Assessment(functionality, "lost", words, seconds)
 
 
@@ -179,6 +182,17 @@ def written(topic: str, port: str, passed: int, window: float, rate: float) -> A
     return Assessment(topic, "lost", words, round(silence, 3))
 
 
+def not_counted(topic: str, port: str) -> Assessment:
+    """Of an exchanged output, one side has not said how much it had written when it ended."""
+    return Assessment(topic, "not_measurable", f"whether {topic} was silent: how much {port} wrote last is not known")
+
+
+def just_started(ports: Sequence[str]) -> Assessment:
+    """Outputs whose components have just been started: no rate has been measured over a whole window."""
+    they = "it has" if len(ports) == 1 else "they have"
+    return Assessment(listed(ports), "not_measurable", f"{_whether_kept(ports)}: {they} just been started")
+
+
 def unanswered_outputs(instance: str, topics: Sequence[str]) -> Assessment:
     """The outputs of an instance could not be counted, since nothing has answered for it in the end."""
     return Assessment(instance, "not_measurable", f"what was written on {listed(topics)}: {instance} has not answered")
@@ -194,12 +208,15 @@ def unmeasured_exchange(
 ) -> Assessment:
     """A node of which nothing measures what it does was started and ended.
 
-    ``down``: for how long neither instance was up (s); ``together``: for how long both ran; None: not known.
+    ``down``: for how long at least neither instance was up (s): from the end of the one until the process of the other
+    was started. ``together``: for how long both ran. None: not known.
     """
     words = f"what {role} does: {because}"
     if down is not None and down > 0:
-        words += f". It was down for {seconds_in_words(down)}"
-        return Assessment(role, "lost", f"{role} was down for {seconds_in_words(down)}; {words}", round(down, 3))
+        time = (
+            f"{role} was down for at least {seconds_in_words(down)}: when its new program had started up is not known"
+        )
+        return Assessment(role, "lost", f"{time}. Not measurable here: {words}", round(down, 3))
     if together is not None and done:
         words += f". It was never down: both instances ran for {seconds_in_words(together)}"
     return Assessment(role, "not_measurable", words)
@@ -216,6 +233,20 @@ def ends_with(instance: str, served: Sequence[str], *, planned: bool) -> Assessm
     words = (
         f"requests and goals of others: {listed(served)} {verb} with {instance}, and what is under way is not answered"
     )
+    return Assessment(instance, "not_measurable", words)
+
+
+def goals_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> Assessment:
+    """The goals that a component with Midstride's API has accepted do not move to its successor."""
+    verb = "ended" if not planned else "end"
+    words = f"goals of others that are under way at {listed(actions)}: they {verb} with {instance}"
+    return Assessment(instance, "not_measurable", words)
+
+
+def results_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> Assessment:
+    """The goals that a node has sent to ROS actions go on without it."""
+    verb = "ended" if not planned else "ends"
+    words = f"goals that {instance} has sent to {listed(actions)}: they go on when it {verb}, and it gets no result"
     return Assessment(instance, "not_measurable", words)
 
 
@@ -348,7 +379,11 @@ def is_far_below(rate: float | None, declared: float | None) -> bool:
 
 def not_yet_judged(ports: Sequence[str]) -> str:
     """Outputs whose rates have not been measured over a whole window yet."""
-    return f"Not known yet: whether {listed(ports)} {'keeps its rate' if len(ports) == 1 else 'keep their rates'}"
+    return f"Not known yet: {_whether_kept(ports)}"
+
+
+def _whether_kept(ports: Sequence[str]) -> str:
+    return f"whether {listed(ports)} {'keeps its rate' if len(ports) == 1 else 'keep their rates'}"
 
 
 def silence_in_words(words: str, seconds: float | None) -> str:

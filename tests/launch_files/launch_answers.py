@@ -32,7 +32,7 @@ from tests.launch_files.launched_processes import (
     split,
     surroundings,
 )
-from tests.launch_files.rcl_parameters import Unreadable, effective
+from tests.rcl_parser import Unreadable, effective
 
 ANSWERS: Final = Path(__file__).parent / "answers.json"
 LIFETIME: Final = 3600.0  # seconds that each process would run

@@ -257,9 +257,11 @@ class ForeignAgent:
                 for each in self._declared.undeclared(found)
             ],
             names,
+            [*served.calls],
         )
-        if seen != (self.node.differences, self.node.undeclared, self.node.serves):
-            self.node.differences, self.node.undeclared, self.node.serves = seen
+        node = self.node
+        if seen != (node.differences, node.undeclared, node.serves, node.calls):
+            node.differences, node.undeclared, node.serves, node.calls = seen
             self._report()
 
     async def _look_at_managers(self, served: Served) -> None:

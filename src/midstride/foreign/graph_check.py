@@ -39,11 +39,13 @@ class Served:
     """The services and ROS actions of a node, in words, without those of every node; whether it has a lifecycle.
 
     ``managers``: the other nodes that change its lifecycle state.
+    ``calls``: the ROS actions that it is a client of.
     """
 
     names: tuple[str, ...] = ()
     has_lifecycle: bool = False
     managers: tuple[LifecycleManager, ...] = ()
+    calls: tuple[str, ...] = ()
 
 
 #: What the graph shows of one node now.

@@ -55,6 +55,7 @@ class ForeignNode:
         self.undeclared: list[str] = []  # its topics that are no ports
         self.serves: list[str] = []  # its services and ROS actions that others may rely on
         self.managed: list[str] = []  # why it must not end, as a lifecycle manager would take all of its nodes down
+        self.calls: list[str] = []  # the ROS actions that it is a client of
         # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
         self.inactive: Callable[[], float] | None = None
         self._unanswered: float | None = None  # since when it has not answered (monotonic s)
@@ -162,6 +163,7 @@ class ForeignNode:
             undeclared=self.undeclared,
             serves=self.serves,
             managed=self.managed,
+            calls=self.calls,
             unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,
             node=record.node,
             imported=1,

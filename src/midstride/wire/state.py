@@ -110,8 +110,9 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
     ``differences``: in which way its node is not what is declared, ``undeclared``: its topics that are no ports. Only a
     node without Midstride's API can show these. The same holds for ``serves``, the services and ROS actions that end
-    with it, and for ``unanswered``: for how long it has not answered its agent, which answers here (s). ``managed``:
-    why it must not end, as a lifecycle manager would take all of its nodes down.
+    with it, for ``calls``, the ROS actions to which it may have sent goals, and for ``unanswered``: for how long it has
+    not answered its agent, which answers here (s). ``managed``: why it must not end, as a lifecycle manager would take
+    all of its nodes down.
 
     ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
     services; of several instances of a role, one does.
@@ -144,6 +145,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     undeclared: list[str] = []
     serves: list[str] = []
     managed: list[str] = []
+    calls: list[str] = []
     unanswered: float | None = None
     host: str = ""
     unread_parameters: bool = False

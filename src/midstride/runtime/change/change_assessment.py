@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from midstride import verdicts
 from midstride.model import wording
@@ -10,10 +10,11 @@ from midstride.model.action import Action, Create, Remove
 from midstride.model.configuration import Configuration
 from midstride.plan.expected_losses import planned_instances, unmeasured_pair
 from midstride.plan.plan import Plan
-from midstride.runtime.change.foreign_losses import foreign_losses
+from midstride.runtime.change.lost_endpoints import lost_endpoints
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.records.reports import Outcome, StepTime
 from midstride.runtime.records.status_forms import SilenceFault
+from midstride.wire.state import Endpoint
 
 
 def change_assessment(
@@ -23,28 +24,36 @@ def change_assessment(
     silences: Sequence[SilenceFault],
     at_outputs: Sequence[verdicts.Assessment],
     states: Mapping[str, LatestState],
+    endpoints: Mapping[str, Sequence[Endpoint]],
 ) -> verdicts.Assessments:
     """Return what may be said of ``outcome``, after which ``now`` runs.
 
     ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show;
-    ``states``: what each component reported before the change.
+    ``states``: what each component reported before the change; ``endpoints``: what it had besides its ports.
     """
     lowered = bool(outcome.below_baseline_seconds)
     return verdicts.assessed(
         [
-            *reported(outcome, silences),
+            *reported(outcome, silences, _unmeasured_roles(plan)),
             *(each for each in at_outputs if each.verdict != "lost" or not lowered),
             *_exchanged(plan, outcome),
-            *foreign_losses(plan, states, _together(plan, outcome)),
+            *lost_endpoints(plan, states, endpoints, _together(plan, outcome)),
             *_others(plan, now),
+            *_started(plan, now),
         ]
     )
 
 
-def reported(outcome: Outcome, silences: Sequence[SilenceFault]) -> list[verdicts.Assessment | None]:
-    """Return what the figures of ``outcome`` say; ``silences``: all that is silent now, also what was before."""
+def reported(
+    outcome: Outcome, silences: Sequence[SilenceFault], unmeasured: Collection[str] = ()
+) -> list[verdicts.Assessment | None]:
+    """Return what the figures of ``outcome`` say; ``silences``: all that is silent now, also what was before.
+
+    ``unmeasured``: the roles of which nothing measures when a new node has begun its work.
+    """
     found: list[verdicts.Assessment | None] = [
-        verdicts.below_level(name, spent) for name, spent in sorted(outcome.below_baseline_seconds.items())
+        verdicts.below_level(name, spent, at_least=name.partition(".")[0] in unmeasured)
+        for name, spent in sorted(outcome.below_baseline_seconds.items())
     ]
     for each in outcome.remaining_degradations:
         because = f": {each.because.splitlines()[0]}" if each.because else ""
@@ -111,6 +120,19 @@ def _together(plan: Plan, outcome: Outcome) -> dict[str, float]:
             case Remove(name) if (role := plan.change.role_of(name)) in created:
                 found[role] = time.began + time.seconds - created[role]
     return found
+
+
+def _unmeasured_roles(plan: Plan) -> set[str]:
+    instances = planned_instances(plan).values()
+    return {each.role for each in instances if verdicts.why_unmeasured(each.component) is not None}
+
+
+def _started(plan: Plan, now: Configuration) -> Iterator[verdicts.Assessment]:
+    """The outputs that guarantee a rate in a system that has just been started, and that is not measured yet."""
+    if not plan.change.start.instances and (
+        rated := [str(port) for ports in now.publishers.values() for port in ports if now.rate(port)]
+    ):
+        yield verdicts.just_started(sorted(rated))
 
 
 def _others(plan: Plan, now: Configuration) -> list[verdicts.Assessment]:

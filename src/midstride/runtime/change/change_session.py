@@ -41,7 +41,7 @@ from midstride.runtime.change.change_permission import NO_OVERRIDE, ChangePermis
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
-from midstride.runtime.change.foreign_losses import foreign_losses
+from midstride.runtime.change.lost_endpoints import lost_endpoints
 from midstride.runtime.change.managed_nodes import require_unmanaged
 from midstride.runtime.change.parameter_transfer import ParameterTransfer, unread_parameters
 from midstride.runtime.change.reconciler import Reconciler
@@ -59,8 +59,10 @@ from midstride.runtime.records.reports import Outcome, StepTime, killed_processe
 from midstride.runtime.watch.degradation_report import remaining_degradations
 from midstride.runtime.watch.degradation_timer import DegradationTimer
 from midstride.runtime.watch.output_tallies import OutputTallies
+from midstride.runtime.watch.silence import REPORT_SKEW
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verify.verdict import Verdict
+from midstride.wire.state import Endpoint
 
 # Code that raises often does so in its first calls, so the functionalities that a change has raised are watched for
 # this many periods after its last step before it is reported, or this long if no rate is known, and the time that a
@@ -124,7 +126,7 @@ class ChangeSession:
             for old, latest in asked
         ]
         unknown = filter(None, unread)
-        besides = tuple(foreign_losses(plan, system.life.latest_states))
+        besides = tuple(lost_endpoints(plan, system.life.latest_states, self._endpoints()))
         return replace(plan, remarks=(*remarks, *left, *unknown, *plan.remarks), besides=besides), target
 
     async def change(
@@ -284,6 +286,10 @@ class ChangeSession:
             await change.entry.recorded(outcome, timeline)
         return outcome
 
+    def _endpoints(self) -> dict[str, list[Endpoint]]:
+        """What the running components with the API have besides their ports, by instance."""
+        return {name: self.client.endpoints(name) for name in self.system.configuration.instances}
+
     def _mode_recorder(self, change: RunningChange) -> ModeRecorder:
         created = [action.instance for action in change.actions if isinstance(action, Create)]
         recorder = ModeRecorder(self.system.configuration, created, time.time)
@@ -296,7 +302,8 @@ class ChangeSession:
     async def _carry_out(self, change: RunningChange) -> Outcome:
         system, plan, recording = self.system, change.plan, change.recording
         events_before = self.events.last
-        silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
+        # Also what has not been silent for as long yet that it is a fault: it did not become silent by the change.
+        silent_before = {fault.words for fault in self.monitor.faults(system.configuration, least=REPORT_SKEW)}
         afterwards = "".join(
             f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
             for shift in plan.level_shifts
@@ -307,8 +314,9 @@ class ChangeSession:
         await recording.begin(system.configuration, change.actions)
         tallies = OutputTallies(self.client, self.clock)
         tallies.begin(system.configuration, change.actions)
+        change.observers.append(tallies)
         # As they were known before their nodes end.
-        states = system.life.latest_states
+        states, endpoints = system.life.latest_states, self._endpoints()
         driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
         execution = await self._execute(driver)
         fenced = system.life.fenced
@@ -351,7 +359,9 @@ class ChangeSession:
             remaining_degradations=remaining,
             verdict=change.verdict,
         )
-        continuity = change_assessment(outcome, plan, system.configuration, list(silences.values()), at_outputs, states)
+        continuity = change_assessment(
+            outcome, plan, system.configuration, list(silences.values()), at_outputs, states, endpoints
+        )
         said = f"{change.outcome}: {change.because}" if change.because else change.outcome
         self.events.add("outcome", "; ".join([said, *continuity.weakest]), outcome=change.outcome)
         return structs.replace(outcome, continuity=continuity)

@@ -1,7 +1,8 @@
 """What the outputs that a change exchanges have written meanwhile, by their own count: also where no subscriber tells.
 
 A count over the whole change needs no more than two reports of each side. It shows a silence of several periods; what
-is shorter, subscribers that record show (:mod:`.subscriber_recording`).
+is shorter, subscribers that record show (:mod:`.subscriber_recording`). Where a part of the count is missing, nothing
+is known of it, and that is said.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from dataclasses import dataclass, field
 
 from midstride import verdicts
 from midstride.errors import MidstrideError
-from midstride.model.action import Action, Create
+from midstride.model.action import Action, Attach, Create, Handover
 from midstride.model.component import ComponentSpec, PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.subscriber_recording import Exchange, exchanges
@@ -35,12 +37,23 @@ class _Begun:
 
 
 @dataclass(slots=True)
-class OutputTallies:
+class OutputTallies(ChangeObserver):
     """The counts of one change. What cannot be asked for in the end is said to be not measurable."""
 
     client: ComponentClient
     clock: Clock
     _begun: list[_Begun] = field(default_factory=list)
+    # What the change has attached, which counts from 0 since, and to which outputs it has handed over.
+    _attached: set[PortRef] = field(default_factory=set)
+    _taken_over: set[PortRef] = field(default_factory=set)
+
+    async def performed(self, action: Action) -> None:
+        """Note which counts begin anew."""
+        match action:
+            case Attach(port):
+                self._attached.add(port)
+            case Handover(swaps):
+                self._taken_over.update(swap.new for swap in swaps)
 
     def begin(self, configuration: Configuration, actions: Sequence[Action]) -> None:
         """Note what each old side has written, by its last report."""
@@ -75,8 +88,8 @@ class OutputTallies:
                 found += filter(None, self._assessments(each, writer, link, last_numbers, now, resumed))
         return [*found, *(verdicts.unanswered_outputs(name, topics) for name, topics in unanswered.items())]
 
-    @staticmethod
     def _assessments(
+        self,
         begun: _Begun,
         writer: PortRef,
         link: LinkState,
@@ -88,14 +101,29 @@ class OutputTallies:
             before = begun.link.inactive if resumed else 0.0
             yield verdicts.inactive(begun.topic, str(writer), max(0.0, link.inactive - (before or 0.0)), begun.rate)
         elif begun.rate is not None:
-            last = last_numbers.get(begun.exchange.old)
-            if resumed and link.count >= max(begun.link.count, last or 0):
-                passed = link.count - begun.link.count
-            elif last is not None:  # the new side's count, or that of the old one, attached anew, began at 0
-                passed = last - begun.link.count + link.count
+            passed = self._passed(begun, link.count, last_numbers, resumed)
+            if passed is None:
+                yield verdicts.not_counted(begun.topic, str(begun.exchange.old))
             else:
-                return  # attached anew, and how much it had written before is not known
-            yield verdicts.written(begun.topic, str(writer), passed, now - begun.at, begun.rate)
+                yield verdicts.written(begun.topic, str(writer), passed, now - begun.at, begun.rate)
+
+    def _passed(
+        self, begun: _Begun, count: int, last_numbers: Mapping[PortRef, int | None], resumed: bool
+    ) -> int | None:
+        """How many messages both sides have written since the change began; None where a part of that is not known.
+
+        ``count``: what the side that writes in the end has written since it was attached last.
+        """
+        old, new = begun.exchange.old, begun.exchange.new
+        if not resumed or old in self._attached:
+            last = last_numbers.get(old)
+            by_old = None if last is None else last - begun.link.count + count
+        else:
+            by_old = count - begun.link.count
+        if not resumed or new not in self._taken_over:
+            return by_old
+        by_new = last_numbers.get(new)  # it wrote until the topic was handed back
+        return None if by_old is None or by_new is None else by_old + by_new
 
 
 def _rate(components: Mapping[str, ComponentSpec], port: PortRef) -> float | None:

@@ -124,11 +124,12 @@ class SilenceMonitor:
                 self.events.add("note", _ENDED[fault.kind].format(fault))
         self._known = found
 
-    def faults(self, configuration: Configuration) -> list[SilenceFault]:
-        """What is silent now, by instance and port."""
-        return [fault for name in sorted(configuration.instances) for fault in self._faults_of(name, configuration)]
+    def faults(self, configuration: Configuration, *, least: float = PORT_SILENCE) -> list[SilenceFault]:
+        """What is silent now, by instance and port; an output for more than ``least`` s, and ten of its periods."""
+        names = sorted(configuration.instances)
+        return [fault for name in names for fault in self._faults_of(name, configuration, least)]
 
-    def _faults_of(self, instance: str, configuration: Configuration) -> Iterator[SilenceFault]:
+    def _faults_of(self, instance: str, configuration: Configuration, least: float) -> Iterator[SilenceFault]:
         state, latest = self.life.responsive(instance), self.life.latest(instance)
         if state is None:
             if self.life.is_ending(instance) or self.life.has_exited(instance):  # which has its own events
@@ -160,19 +161,25 @@ class SilenceMonitor:
                 lazy = port.port in configuration.component(instance).lazy
                 if lazy and not configuration.subscribers_on(connector):
                     continue  # it need not exist
-                yield from self._not_publishing(configuration, state, port, topic, link.since)
+                yield from self._not_publishing(configuration, state, port, topic, link.since, least)
             elif link.unreceived >= UNRECEIVED and self.clock.steady() - link.unreceived_since > PORT_SILENCE:
                 yield not_receiving(port, topic, self.clock.steady() - link.unreceived_since)
 
     def _not_publishing(
-        self, configuration: Configuration, state: ComponentState, port: PortRef, topic: str, since: float
+        self,
+        configuration: Configuration,
+        state: ComponentState,
+        port: PortRef,
+        topic: str,
+        since: float,
+        least: float,
     ) -> Iterator[SilenceFault]:
         ref = FunctionalityRef(port.instance, configuration.component(port.instance).owner(port.port).name)
         rate, reported = configuration.rate(port), state.functionalities[ref.functionality]
         if reported.mode != configuration.mode(ref).name:
             return  # a mode that has just been left guarantees nothing
         seconds = min(self.clock.steady() - since, reported.since)
-        if rate and seconds > stretch(state) * max(PORT_SILENCE, SILENT_PERIODS / rate):
+        if rate and seconds > stretch(state) * max(least, SILENT_PERIODS / rate):
             words = f"{port} publishes nothing on {topic}, although mode {reported.mode} guarantees {rate:g} Hz"
             yield _port_fault("not_publishing", port, topic, seconds, words)
 

@@ -28,6 +28,8 @@ from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Endpoints
 
 # The packages of the services that ROS itself gives nodes: parameters, lifecycle, types, log levels.
+# Between the name of a ROS action and those of its services.
+_ACTION: Final = "/_action/"
 _OF_EVERY_NODE: Final = ("rcl_interfaces/", "lifecycle_msgs/", "type_description_interfaces/", "logging_interfaces/")
 
 _GET_STATE: Final = "lifecycle_msgs/srv/GetState"
@@ -129,12 +131,15 @@ class Graph:
         served = set()
         has_lifecycle = any(name == f"{node}/get_state" and _GET_STATE in types for name, types in found)
         for name, types in found:
-            action, _, part = name.partition("/_action/")
+            action, _, part = name.partition(_ACTION)
             if part:
                 served.add(f"ROS action {action}")
             elif not any(type_.startswith(_OF_EVERY_NODE) for type_ in types):
                 served.add(f"service {name}")
-        return Served(tuple(sorted(served)), has_lifecycle, tuple(self._managers(node)) if has_lifecycle else ())
+        managers = tuple(self._managers(node)) if has_lifecycle else ()
+        called = (name.partition(_ACTION) for name in self._called_by(node))
+        goals = {f"ROS action {action}" for action, part, _ in called if part}
+        return Served(tuple(sorted(served)), has_lifecycle, managers, tuple(sorted(goals)))
 
     def _managers(self, node: str) -> Iterator[LifecycleManager]:
         """The nodes that change its lifecycle state, but for hidden ones: those of ROS's tools and of Midstride."""
