@@ -24,7 +24,7 @@ def talker(node, topic="out"):
     return node
 """
 
-# Saves on Ctrl-C only, as a program that catches KeyboardInterrupt; or needs 4 s to save; or takes no notice of any
+# Saves on Ctrl-C only, as a program that catches KeyboardInterrupt; or needs 3.5 s to save; or takes no notice of any
 # signal, and has started a process in a session of its own.
 SAVER = """
 import os, signal, subprocess, sys, time
@@ -45,7 +45,7 @@ try:
     while True:
         rclpy.spin_once(node, timeout_sec=0.05)
 except KeyboardInterrupt:
-    time.sleep(4.0 if kind == "slow" else 0.0)
+    time.sleep(3.5 if kind == "slow" else 0.0)
 open(f"saved.{kind}.{os.getpid()}", "w").close()
 """
 
@@ -124,7 +124,7 @@ system late
 topic /model : std_msgs/msg/String
 topic /lazy : std_msgs/msg/String
 component Model {
-  run "python3 model.py 22" takes 10 s gate preload
+  run "python3 model.py 6" takes 10 s gate preload
   output out
   functionality talk { produces out  mode normal { guarantee out : std_msgs/msg/String }  mode degraded { } }
 }
@@ -167,13 +167,14 @@ def test_nodes_end_as_launch_ends_them_and_what_had_to_be_killed_is_said(midstri
 
 
 def test_a_slow_start_and_a_lazy_output_are_waited_for_as_stated(midstride: Midstride, tmp_path: Path) -> None:
-    """Its endpoints come 22 s after its start, 20 s are given to any node, and it states 10 s more.
+    """Its endpoints come 6 s after its start, 4 s are given to any node here, and it states 10 s more.
 
     Meanwhile, capture proposes that an output is lazy which it has seen to go with its last subscription.
     """
     files(tmp_path, talk=TALKER, model=MODEL, lazy=LAZY, hear=HEAR)
     file = tmp_path / "late.stride"
     file.write_text(LATE, encoding="utf-8")
+    midstride.environment["MIDSTRIDE_ENDPOINTS_TIMEOUT"] = "4"
     begun = time.monotonic()
     up = midstride.start("up", str(file), "-d", "--backend", "ros2")
     by_hand = ["lazy.py", "--ros-args", "-r", "__node:=by_hand", "-r", "out:=/by_hand"]
@@ -187,6 +188,6 @@ def test_a_slow_start_and_a_lazy_output_are_waited_for_as_stated(midstride: Mids
     assert captured.status == 0 and "output by_hand lazy" in captured.out, captured.out + captured.err
     out, _ = up.communicate(timeout=120)
     assert up.returncode == 0, out
-    assert time.monotonic() - begun > 22.0
+    assert time.monotonic() - begun > 6.0
     assert midstride("status").status == 0
     assert midstride("down", timeout=60).status == 0

@@ -551,6 +551,33 @@ def test_processes_that_do_not_end_in_order_are_named_by_event_report_and_down(t
     managed("talker", tmp_path, body, specification=specification)
 
 
+@pytest.mark.parametrize(
+    ("stop", "words"),
+    [
+        ("async def stop():\n    await c.clock.sleep(60)\n", "talker: on_stop did not return within 4 s"),
+        ("def stop():\n    raise ValueError('no disk')\n", "talker: on_stop raised ValueError: no disk"),
+    ],
+)
+def test_an_on_stop_that_fails_is_named_by_the_report(stop: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "failing.py").write_text(
+        "from midstride import Component\nfrom std_msgs.msg import String\nc = Component('talker')\n"
+        "o = c.create_output('out', String)\nf = c.create_functionality('talk', outputs=[o])\n"
+        "f.set_normal_mode(lambda: o.write(String(data='')), rate=10, outputs=[o])\n"
+        f"f.set_degraded_mode(lambda: None)\n{stop}c.on_stop(stop, timeout=4)\nc.start()"
+    )
+    specification = example("talker")
+    failing = changed(specification.components["Talker"], run=f"python3 {tmp_path}/failing.py")
+    specification = changed(specification, components=specification.components.set("Talker", failing))
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        outcome = await manager.change(PlanRequest(restart=("talker",)))
+        assert outcome.outcome == "done" and [each.words for each in outcome.killed] == [words]
+        assert outcome.continuity is not None
+        assert f"{words}: what it does at its end is lost" in outcome.continuity.headline
+
+    managed("talker", tmp_path, body, specification=specification)
+
+
 def test_what_has_degraded_by_itself_is_raised_again_at_the_first_try(tmp_path: Path) -> None:
     """It has moved on by that, which the manager has seen: no reason to refuse the change that mends it."""
 

@@ -341,7 +341,7 @@ declare namespace Api {
     notes: NotePlace[];
   }
 
-  /** The system is down. `killed`: the processes that did not end when they were asked to. */
+  /** The system is down. `killed`: the processes that did not end when they were asked to, or not in order. */
   interface DownReport {
     outcome: "done";
     killed: KilledProcess[];
@@ -572,7 +572,7 @@ declare namespace Api {
     executable?: string | null;
   }
 
-  /** A process that had not ended in the time that it had, and was killed: what it does at its end is lost. */
+  /** A process whose end was cut short: it had to be killed, or its `on_stop` has failed. What it does then is lost. ``seconds``: how long it had. */
   interface KilledProcess {
     instance: string;
     /** how long it had, from when it was asked to end */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
@@ -13,7 +14,7 @@ from midstride.model.graph_names import is_infrastructure, resolved
 from midstride.model.near_miss import nearest
 
 # How long a program may take to create the endpoints that are declared (s), besides what it states (`takes`).
-ENDPOINTS_TIMEOUT: Final = 20.0
+ENDPOINTS_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_ENDPOINTS_TIMEOUT", "20"))
 
 
 def endpoints_seconds(component: ComponentSpec) -> float:

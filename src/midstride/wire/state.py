@@ -122,7 +122,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
     with the value that it was started with. ``keeps_state``: it exports state for its replacement. ``host``: the name
     of the computer or container that its process runs on, empty where that is not known. ``unread_parameters``: whether
-    any were set while it ran is not known, as its parameter services do not answer.
+    any were set while it ran is not known, as its parameter services do not answer. ``unfinished``: in which way its
+    `on_stop` has failed, once it ends.
     """
 
     instance: str
@@ -149,6 +150,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     unanswered: float | None = None
     host: str = ""
     unread_parameters: bool = False
+    unfinished: str | None = None
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

@@ -28,6 +28,7 @@ from midstride.node.control.state_hooks import StateHooks
 from midstride.node.data.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.data.mode_switch import DataExecutor, Hold, ModeSwitch, within
 from midstride.node.handover.handover_commands import HandoverCommands
+from midstride.node.legible import legible
 from midstride.wire import commands, replies
 from midstride.wire.command_server import CommandHandler
 from midstride.wire.commands import Command
@@ -81,6 +82,7 @@ class CommandHandlers:
         self._runners: list[FunctionalityRunner] = []
         self._under_way = 0
         self._hold: Hold | None = None
+        self.unfinished: str | None = None  # in which way the author's `on_stop` has failed
         self._expiry: asyncio.Task[None] | None = None  # of the hold
         before = self.parts.callbacks.before_modes
         self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded, self.changed, before)
@@ -183,8 +185,10 @@ class CommandHandlers:
         if self.parts.callbacks.stop is not None:
             try:
                 if not await self._data.drive(self.parts.callbacks.stop, timeout):
-                    self.host.logger.error(f"on_stop did not return within {timeout:.3g} s")
+                    self.unfinished = f"on_stop did not return within {timeout:.3g} s"
+                    self.host.logger.error(self.unfinished)
             except CAUGHT as error:
+                self.unfinished = legible(f"on_stop raised {type(error).__name__}: {error}").partition("\n")[0]
                 self.host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
             await self._attachments.close_all(0.5)
@@ -244,6 +248,7 @@ class CommandHandlers:
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: json_value(each.declared) for each in parameters if _is_shown(each) and each.is_set},
             keeps_state=self.parts.callbacks.export_state is not None,
+            unfinished=self.unfinished,
             host=THIS_HOST,
         )
 

@@ -105,6 +105,8 @@ class Agent:
                 pass  # SIGTERM, SIGINT
             self._stopping.set()
             await handlers.end()
+            if handlers.unfinished is not None:
+                self._report()
         finally:
             for task in tasks:
                 task.cancel()

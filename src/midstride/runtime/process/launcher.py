@@ -89,9 +89,11 @@ class Launcher:
         self._components: dict[str, ComponentSpec] = {}  # of the processes that it has started or adopted
         self._asked: dict[str, float] = {}  # how long these take to end, as they have said (s)
         self._to_end: set[str] = set()  # of those that start, the ones whose program is to end
+        self._unfinished: dict[str, str] = {}  # in which way the `on_stop` of those that end has failed
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
-        # Called with an instance of which a process had to be killed, the seconds that this had to end, and words.
+        # Called with an instance whose end was cut short (a process had to be killed, or its `on_stop` has failed), the
+        # seconds that it had, and words.
         self.on_killed: Callable[[str, float, str], object] | None = None
 
     def exited(self, event: Exited) -> bool:
@@ -108,6 +110,8 @@ class Launcher:
         """A component has reported its state, or it has disconnected."""
         if isinstance(event, ComponentState):
             self._backend.reported(event)
+            if event.unfinished is not None:
+                self._unfinished[event.instance] = event.unfinished
 
     def disconnected(self, name: str) -> None:
         """The connection of a component that was started by hand has closed."""
@@ -411,7 +415,9 @@ class Launcher:
             raise
         self._client.disconnect(name)
         self._components.pop(name, None)
-        self._asked.pop(name, None)
+        asked, unfinished = self._asked.pop(name, 0.0), self._unfinished.pop(name, None)
+        if unfinished is not None and not killed and self.on_killed is not None:
+            self.on_killed(name, asked, f"{name}: {unfinished}")
         for process in killed:
             words = killed_in_words(name, None if handle is None else handle.pid, process)
             if self.on_killed is not None:

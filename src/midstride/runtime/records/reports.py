@@ -48,7 +48,10 @@ class UpReport(Report, frozen=True):
 
 
 class KilledProcess(Report, frozen=True, kw_only=True):
-    """A process that had not ended in the time that it had, and was killed: what it does at its end is lost."""
+    """A process whose end was cut short: it had to be killed, or its `on_stop` has failed. What it does then is lost.
+
+    ``seconds``: how long it had.
+    """
 
     instance: str
     seconds: Annotated[float, Meta(description="how long it had, from when it was asked to end")]
@@ -56,7 +59,7 @@ class KilledProcess(Report, frozen=True, kw_only=True):
 
 
 class DownReport(Report, frozen=True):
-    """The system is down. `killed`: the processes that did not end when they were asked to."""
+    """The system is down. `killed`: the processes that did not end when they were asked to, or not in order."""
 
     outcome: Literal["done"] = "done"
     killed: list[KilledProcess] = []
