@@ -245,8 +245,14 @@ def goals_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> A
 
 def results_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> Assessment:
     """The goals that a node has sent to ROS actions go on without it."""
-    verb = "ended" if not planned else "ends"
-    words = f"goals that {instance} has sent to {listed(actions)}: they go on when it {verb}, and it gets no result"
+    words = "they go on when it ends, and it gets no result" if planned else "they went on, and it got no result"
+    words = f"goals that {instance} has sent to {listed(actions)}: {words}"
+    return Assessment(instance, "not_measurable", words)
+
+
+def not_looked_at(instance: str) -> Assessment:
+    """A node without Midstride's API has run for too short for its services, ROS actions and topics to be known."""
+    words = f"what of {instance} others rely on besides its ports: it had just been started"
     return Assessment(instance, "not_measurable", words)
 
 

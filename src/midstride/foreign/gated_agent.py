@@ -46,6 +46,8 @@ PARAMETERS_LOOK: Final = 2.0
 # How long the graph may take to show a new node's endpoints (s), and how often it is compared later (s).
 GRAPH_TIMEOUT: Final = 5.0
 GRAPH_LOOK: Final = 2.0
+# How soon after its start the graph is asked for what the node serves (s).
+FIRST_LOOK: Final = 0.3
 # A node of which the graph has shown nothing new for so long, and that answers, will create no more of them (s).
 SETTLED: Final = 2.0
 _REMEMBERED: Final = 1000
@@ -84,6 +86,7 @@ class ForeignAgent:
             if gates is None:
                 outputs = LifecycleOutputs(self.lifecycle, peers or LifecyclePeers())
         self._graph = graph
+        self.node.looked = graph is None
         self._served = served
         self._before = before
         self._predecessor = predecessor
@@ -238,11 +241,14 @@ class ForeignAgent:
     async def _watch_graph(self) -> None:
         """Look now and then whether the node still has what is declared: it may create endpoints at any time."""
         await self._registered.wait()
+        clock = asyncio.get_running_loop().time
+        begun = clock()
         while self._graph is not None or self._served is not None:
-            await self._look_at_graph()
-            await asyncio.sleep(GRAPH_LOOK)
+            await self._look_at_graph(never=clock() - begun > GRAPH_TIMEOUT)
+            await asyncio.sleep(GRAPH_LOOK if self.node.looked else FIRST_LOOK)
 
-    async def _look_at_graph(self) -> None:
+    async def _look_at_graph(self, *, never: bool) -> None:
+        """Note what it shows of the node; ``never``: what it has not shown yet, it never will, as without ROS."""
         served = Served() if self._served is None else self._served()
         await self._look_at_managers(served)
         left = await self._left_active(served)
@@ -258,10 +264,11 @@ class ForeignAgent:
             ],
             names,
             [*served.calls],
+            bool(found) or never,
         )
         node = self.node
-        if seen != (node.differences, node.undeclared, node.serves, node.calls):
-            node.differences, node.undeclared, node.serves, node.calls = seen
+        if seen != (node.differences, node.undeclared, node.serves, node.calls, node.looked):
+            node.differences, node.undeclared, node.serves, node.calls, node.looked = seen
             self._report()
 
     async def _look_at_managers(self, served: Served) -> None:

@@ -56,6 +56,7 @@ class ForeignNode:
         self.serves: list[str] = []  # its services and ROS actions that others may rely on
         self.managed: list[str] = []  # why it must not end, as a lifecycle manager would take all of its nodes down
         self.calls: list[str] = []  # the ROS actions that it is a client of
+        self.looked = True  # these are known, or nothing can know them
         # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
         self.inactive: Callable[[], float] | None = None
         self._unanswered: float | None = None  # since when it has not answered (monotonic s)
@@ -164,6 +165,7 @@ class ForeignNode:
             serves=self.serves,
             managed=self.managed,
             calls=self.calls,
+            looked=self.looked,
             unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,
             node=record.node,
             imported=1,

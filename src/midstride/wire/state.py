@@ -112,7 +112,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     node without Midstride's API can show these. The same holds for ``serves``, the services and ROS actions that end
     with it, for ``calls``, the ROS actions to which it may have sent goals, and for ``unanswered``: for how long it has
     not answered its agent, which answers here (s). ``managed``: why it must not end, as a lifecycle manager would take
-    all of its nodes down.
+    all of its nodes down. ``looked``: the graph has been asked for these since it started.
 
     ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
     services; of several instances of a role, one does.
@@ -147,6 +147,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     serves: list[str] = []
     managed: list[str] = []
     calls: list[str] = []
+    looked: bool = True
     unanswered: float | None = None
     host: str = ""
     unread_parameters: bool = False

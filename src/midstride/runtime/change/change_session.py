@@ -59,7 +59,6 @@ from midstride.runtime.records.reports import Outcome, StepTime, killed_processe
 from midstride.runtime.watch.degradation_report import remaining_degradations
 from midstride.runtime.watch.degradation_timer import DegradationTimer
 from midstride.runtime.watch.output_tallies import OutputTallies
-from midstride.runtime.watch.silence import REPORT_SKEW
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verify.verdict import Verdict
 from midstride.wire.state import Endpoint
@@ -302,8 +301,7 @@ class ChangeSession:
     async def _carry_out(self, change: RunningChange) -> Outcome:
         system, plan, recording = self.system, change.plan, change.recording
         events_before = self.events.last
-        # Also what has not been silent for as long yet that it is a fault: it did not become silent by the change.
-        silent_before = {fault.words for fault in self.monitor.faults(system.configuration, least=REPORT_SKEW)}
+        silent_before = self.monitor.silent(system.configuration)
         afterwards = "".join(
             f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
             for shift in plan.level_shifts

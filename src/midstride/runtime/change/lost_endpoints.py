@@ -50,6 +50,8 @@ def _of_foreign(
 ) -> Iterator[verdicts.Assessment]:
     """``role``: that of a node which is replaced; None if it only ends."""
     state = latest.state
+    if not state.looked:
+        yield verdicts.not_looked_at(state.instance)
     if state.serves:
         yield verdicts.ends_with(state.instance, state.serves, planned=together is None)
     written = [words.removeprefix(_PUBLISHES).split()[0] for words in state.undeclared if words.startswith(_PUBLISHES)]

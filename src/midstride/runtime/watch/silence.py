@@ -124,8 +124,19 @@ class SilenceMonitor:
                 self.events.add("note", _ENDED[fault.kind].format(fault))
         self._known = found
 
-    def faults(self, configuration: Configuration, *, least: float = PORT_SILENCE) -> list[SilenceFault]:
-        """What is silent now, by instance and port; an output for more than ``least`` s, and ten of its periods."""
+    def faults(self, configuration: Configuration) -> list[SilenceFault]:
+        """What is silent now, by instance and port."""
+        return self._faults(configuration, PORT_SILENCE)
+
+    def silent(self, configuration: Configuration) -> set[str]:
+        """What is silent now, in words, also an output that has not been for so long yet that it is a fault.
+
+        What begins now has not made it silent.
+        """
+        return {fault.words for fault in self._faults(configuration, REPORT_SKEW)}
+
+    def _faults(self, configuration: Configuration, least: float) -> list[SilenceFault]:
+        """An output counts if it is silent for more than ``least`` s and ten of its periods."""
         names = sorted(configuration.instances)
         return [fault for name in names for fault in self._faults_of(name, configuration, least)]
 
