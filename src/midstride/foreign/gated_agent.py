@@ -247,7 +247,7 @@ class ForeignAgent:
             await self._look_at_graph(never=clock() - begun > GRAPH_TIMEOUT)
             await asyncio.sleep(GRAPH_LOOK if self.node.looked else FIRST_LOOK)
 
-    async def _look_at_graph(self, *, never: bool) -> None:
+    async def _look_at_graph(self, *, never: bool = False) -> None:
         """Note what it shows of the node; ``never``: what it has not shown yet, it never will, as without ROS."""
         served = Served() if self._served is None else self._served()
         await self._look_at_managers(served)
@@ -264,7 +264,7 @@ class ForeignAgent:
             ],
             names,
             [*served.calls],
-            bool(found) or never,
+            self.node.looked or bool(found) or never,
         )
         node = self.node
         if seen != (node.differences, node.undeclared, node.serves, node.calls, node.looked):
