@@ -284,7 +284,7 @@ async def wide(tmp_path: Path, token: str, *arguments: str, instance: str = "wid
         ENV_START: f"{token} {instance}",
     }
     process = spawn([sys.executable, "-S", "-c", WIDE, *arguments], tmp_path, environment, tmp_path / "log.txt")
-    process.mark = families.mark_of(process.pid)
+    process.mark = environment[ENV_START]  # which cannot be read while the kernel loads the program
     lines: list[str] = []
     while "up" not in lines or len(left := [line for line in lines if line.startswith("left")]) < 2:
         await asyncio.sleep(0.005)

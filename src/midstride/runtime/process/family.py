@@ -7,6 +7,7 @@ another for each start, which also an orphan has, and which a later manager can 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Final
 
@@ -20,15 +21,20 @@ def mark_of(pid: int) -> str | None:
     return reaper.environment_value(pid, ENV_START) or None
 
 
+# While the kernel loads its program, a process has no environment: that it has no mark is only known later (s).
+STARTING: Final = 10.0
 # The marks that have been read: an environment is that with which a process has started.
 _marks: Final[dict[tuple[int, float], str | None]] = {}
 
 
 def _mark(process: ProcessInfo) -> str | None:
     key = process.pid, process.started
-    if key not in _marks:
-        _marks[key] = mark_of(process.pid)
-    return _marks[key]
+    if key in _marks:
+        return _marks[key]
+    mark = mark_of(process.pid)
+    if mark is not None or time.clock_gettime(time.CLOCK_BOOTTIME) - process.started > STARTING:
+        _marks[key] = mark
+    return mark
 
 
 def members(leader: ProcessInfo, mark: str | None, known: Mapping[int, float]) -> dict[int, ProcessInfo]:
