@@ -141,6 +141,7 @@ class Synthetic:
         self.events: list[Event] = []
         self.n = 1
         self.quiet = 0.0  # for how long nothing has changed (s)
+        self.condition = system_condition(1, 1, [])
         self.port = free_port()
         self._queues: set[asyncio.Queue[bytes]] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -158,7 +159,7 @@ class Synthetic:
             system="synthetic",
             backend="sim",
             phase="up",
-            condition=system_condition(1, 1, []),
+            condition=self.condition,
             revision=1,
             running=None,
             valid=True,

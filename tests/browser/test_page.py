@@ -6,11 +6,14 @@ import os
 import time
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 from playwright.sync_api import Browser, expect
 
+from midstride.runtime.records.status_forms import CrashedInstance, ParameterStatus
+from midstride.verdicts import system_condition
 from tests.browser.conftest import Opened, System
 from tests.browser.synthetic import Synthetic, component, functionality, serving
 
@@ -58,6 +61,64 @@ def test_the_page_shows_the_present_also_where_nothing_has_changed_for_long(brow
         page.goto(synthetic.url)
         page.locator('.component[data-name="worker"]').click()
         expect(page.locator("#details .because")).to_contain_text("for 2 h 1 min.")
+
+
+def test_numbers_that_are_not_finite_are_shown_and_texts_that_look_like_them_stay_texts(browser: Browser) -> None:
+    values: list[tuple[str, Any, Any, bool]] = [
+        ("gain", {"float": "nan"}, 1.5, True),
+        ("label", "inf", "nan", True),
+        ("limits", [1.0, {"float": "-inf"}], [1.0, {"float": "inf"}], True),
+        ("top", {"float": "inf"}, {"float": "inf"}, False),
+    ]
+    synthetic = Synthetic([component("worker", [], [], parameters=[ParameterStatus(*each) for each in values])])
+    with serving(synthetic), closing(browser.new_context()) as context:
+        page = context.new_page()
+        page.goto(synthetic.url)
+        page.locator('.component[data-name="worker"]').click()
+        rows = page.locator("#details tbody tr")
+        expect(rows).to_have_text(
+            [
+                "gain.nanset at run time; started with 1.5",
+                "labelinfset at run time; started with nan",
+                "limits[1,-.inf]set at run time; started with [1,.inf]",
+                "top.inf",
+            ]
+        )
+
+
+def test_a_robot_that_came_up_in_part_is_not_shown_as_up(browser: Browser) -> None:
+    """A program that is done counts as up; a node that could not be started is shown with its reason."""
+    because = "camera exited with status 1 before it registered: no device"
+    done = component("spawner", [], [], pid=None, reachable=False, answers=False, done=True, node=None)
+    synthetic = Synthetic(
+        [component("worker", [functionality("work")], []), done],
+        [CrashedInstance("camera", 1, "no device", "`midstride restart camera` restores it", None, "camera", because)],
+    )
+    synthetic.condition = system_condition(3, 2, [because])
+    with serving(synthetic), closing(browser.new_context()) as context:
+        page = context.new_page()
+        page.goto(synthetic.url)
+        expect(page.locator("#summary")).to_contain_text("▲ degraded")
+        expect(page.locator("#summary")).to_contain_text("✕ 1 crashed")
+        expect(page.locator("#summary")).not_to_contain_text("not answering")
+        spawner, camera = (page.locator(f'.component[data-name="{name}"]') for name in ("spawner", "camera"))
+        expect(spawner).to_have_attribute("data-kind", "normal")
+        expect(spawner.locator(".type")).to_have_text("done")
+        expect(spawner.locator(".glyph")).to_have_text("✓")
+        spawner.click()
+        expect(page.locator("#details")).to_contain_text("Its program has ended as it should")
+        expect(camera).to_have_attribute("data-kind", "gone")
+        name, words = (camera.locator(which).bounding_box() for which in (".name", ".type"))
+        assert name is not None and words is not None and name["y"] < words["y"], "neither is on the other"
+        expect(camera.locator(".type")).to_have_text("crashed")
+        camera.click()
+        expect(page.locator("#details")).to_contain_text(because)
+        synthetic.crashed, synthetic.condition = [], system_condition(3, 2, ["camera does not run"])
+        page.reload()
+        expect(page.locator("#summary")).to_contain_text("▲ degraded, 2 of 3 nodes run: camera does not run")
+        synthetic.condition = system_condition(2, 0, ["worker does not run"])
+        page.reload()
+        expect(page.locator("#summary")).to_contain_text("▲ down")
 
 
 def test_the_keyboard_reaches_everything(talker: System, opened: Opened) -> None:

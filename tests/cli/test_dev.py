@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import py_compile
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import pytest
 from msgspec import structs
 
 from midstride.cli.client import Client
+from midstride.cli.commands import dev
 from midstride.cli.dev.contents import FileContents, saves
 from midstride.cli.dev.session import DevSession
 from midstride.cli.dev.watched_specification import WatchedSpecification
@@ -25,6 +27,7 @@ from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.status_forms import ProgramStatus
 from tests.cli.conftest import EXAMPLES, Midstride, alive
 from tests.cli.terminal import Terminal
+from tests.cli.test_other_overlay import overlay
 
 
 @dataclass
@@ -147,6 +150,46 @@ def test_a_module_that_two_nodes_import_swaps_both_at_once(robot: Robot) -> None
     robot.edit("shared.py", "1", "2")
     assert robot.asked() == [restart("listener", "talker")]
     assert robot.shown == ["swapped listener (shared.py), talker (shared.py)"]
+
+
+def test_what_changed_outside_before_it_attached_is_named_and_swapped_and_another_overlay_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Any
+) -> None:
+    """The module behind a package's executable is none of the files of the specification."""
+    one, other = overlay(tmp_path / "one", "talk"), overlay(tmp_path / "other", "talk")
+    installed = one / "lib" / "demo" / "talk"
+    module = tmp_path / "site" / "demo_nodes" / "talk.py"
+    module.parent.mkdir(parents=True)
+    module.write_text("word = 1")
+    robot = Robot(tmp_path)
+    robot.more_files = {"talker": [str(module), str(installed)]}
+    robot.code["talker"] = robot._texts("talker")
+    module.write_text("word = 2")
+
+    class Attached:
+        """The client of a manager that runs already."""
+
+        answers = staticmethod(lambda: True)
+        specification = staticmethod(lambda: robot.runs)
+
+        def __init__(self, *_: object) -> None:
+            self.carry_out = robot.carry_out  # instead of the requests of `Changes`
+
+        def programs(self) -> list[ProgramStatus]:
+            talker, *others = robot.programs()
+            return [structs.replace(talker, executable=str(installed)), *others]
+
+    monkeypatch.setenv("XDG_RUNTIME_DIR", tempfile.gettempdir())
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{other}:{one}")
+    monkeypatch.setattr(dev, "Client", Attached)
+    monkeypatch.setattr(dev, "Changes", Attached)
+    monkeypatch.setattr(dev, "saves", lambda _: iter(()))
+    status, out, err = run("dev", tmp_path / "talker.stride")
+    assert (status, err) == (0, "")
+    assert robot.asked() == [restart("talker")]
+    shown = " ".join(out.split())
+    assert f"talker ({module.name}): swapped in" in shown
+    assert f"talker: `talk` of package demo is {other}/lib/demo/talk in this shell, and {installed} for the" in shown
 
 
 def test_python_cannot_run_what_it_has_compiled_before_the_save(robot: Robot) -> None:

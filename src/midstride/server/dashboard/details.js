@@ -120,6 +120,7 @@ function componentContent(component, view, context, reasons, redraw) {
   return [
     h("p", { class: "muted" }, place.filter(Boolean).join(" · ")),
     found.kind === "gone" && found.words !== "crashed" ? h("p", { class: "banner", "data-kind": "bad" }, `✕ ${found.words}`) : null,
+    component.done ? h("p", {}, "✓ Its program has ended as it should (once).") : null,
     wrong.length === 0 ? null : h("ul", { class: "banner", "data-kind": "warn" }, ...wrong.map((each) => h("li", {}, `▲ ${each}`))),
     component.undeclared.length === 0 ? null : h("p", { class: "muted" }, `Topics that are no ports, and so have no gate: ${component.undeclared.join(", ")}`),
     ...component.functionalities.flatMap((each) => functionalityContent(component, each, context, reasons, redraw)),

@@ -44,7 +44,8 @@ function worst(looks) {
 }
 
 /**
- * The look of a component: "gone" if it has crashed or does not answer, else that of its worst functionality.
+ * The look of a component: "gone" if it has crashed or does not answer, "done" if its program has ended as it should,
+ * else that of its worst functionality.
  *
  * @param {Component} component
  * @param {Pick<View, "crashed">} view
@@ -55,6 +56,7 @@ export function componentLook(component, view) {
     return { kind: "gone", glyph: GLYPHS.gone, words: "crashed" };
   }
   if (!component.reachable && !component.done) return { kind: "gone", glyph: GLYPHS.gone, words: "does not answer" };
+  if (component.done) return { kind: "normal", glyph: "✓", words: "done" };
   return worst(component.functionalities.map(look));
 }
 

@@ -84,6 +84,8 @@ function summaryOf(view) {
   if (found.length === 1 && condition) {
     const mark = condition.state === "up" ? "✓ " : "▲ ";
     found.push({ kind: condition.state === "up" && !condition.unknown?.length ? "good" : "warn", words: mark + condition.headline });
+  } else if (condition && condition.state !== "up") {
+    found.splice(1, 0, condition.state === "down" ? { kind: "bad", words: "✕ down" } : { kind: "warn", words: "▲ degraded" });
   }
   if (view.phase !== "up") found.push({ kind: "warn", words: view.phase });
   const { lock } = view;

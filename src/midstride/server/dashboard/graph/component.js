@@ -30,6 +30,7 @@ export class ComponentShape {
   /** @type {Map<string, {mark: SVGElement, figures: Figures}>} */ #ports = new Map();
   /** @type {SVGElement} */ #glyph;
   /** @type {SVGElement} */ #flag;
+  /** @type {SVGElement | null} */ #type = null;
   /** @type {SVGElement} */ #fate;
   /** @type {DrawnComponent} */ #drawn;
 
@@ -59,10 +60,11 @@ export class ComponentShape {
     const { entry, label, ins, outs } = this.#drawn;
     const { left, inner, portsTop } = componentSize(this.#drawn);
     const right = left + inner;
+    this.#type = s("text", { class: "type", x: left + 26, y: 34 });
     this.#inside.append(
       this.#glyph,
       s("text", { class: "name", x: left + 26, y: 21 }, short(label)),
-      s("text", { class: "type", x: left + 26, y: 34 }, short(entry.component)),
+      this.#type,
       this.#flag,
       this.#fate,
     );
@@ -142,12 +144,14 @@ export class ComponentShape {
     setText(this.#glyph, planned ? "+" : found.glyph);
     const flagged = deviates(entry) && found.kind === "normal";
     set(this.element, "data-deviates", String(flagged));
-    setText(this.#flag, found.kind === "gone" ? found.words : flagged ? "▲" : entry.ending ? "ending" : "");
+    setText(this.#flag, flagged ? "▲" : entry.ending ? "ending" : "");
     setText(this.#fate, fate === null ? "" : `${FATES[fate].glyph} ${planned || fate === "removed" ? FATES[fate].words : "new"}`);
     const words = description(entry, view, fate === null ? "" : planned ? "planned" : FATES[fate].words);
     set(this.element, "aria-label", words);
     if (detail === "shapes") return;
     if (!this.#filled) this.#fill();
+    // Below the name, where there is room for it.
+    if (this.#type !== null) setText(this.#type, found.kind === "gone" || entry.done ? found.words : short(entry.component));
     entry.functionalities.forEach((functionality, index) => this.#updateMode(functionality, index, entry, ghosts));
     this.#updatePorts(entry);
   }
@@ -233,7 +237,7 @@ function description(entry, view, fate) {
   const parts = [`${entry.name}, a ${entry.component}`];
   if (fate !== "") parts.push(fate);
   const found = componentLook(entry, view);
-  if (found.kind === "gone") parts.push(found.words);
+  if (found.kind === "gone" || entry.done) parts.push(found.words);
   parts.push(...entry.functionalities.map((each) => `${each.name}: ${each.mode}`));
   if (entry.deviation) parts.push(entry.deviation);
   return parts.join("; ");
