@@ -6,8 +6,9 @@
 - `ros1`: with ROS 1, those marked ros1.
 
 Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`,
-`kilted`) run after the others, with as many tests at once as there are processors and one more: a process that gets no
-processor for longer than a period misses it. Those marked long, many of which measure, run one suite after another.
+`kilted`) run after the others, together with twice as many tests at once as there are processors, which they use for a
+third of the time: a process that gets no processor for longer than a period misses it. Those marked long, many of which
+measure, run one suite after another.
 
 ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
 such as a linter, runs beside them, and counts as a suite.
@@ -166,7 +167,7 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={folder}" for folder in COMPUTING]
-        workers = (processors * 3 + 1) // 2 if daily else processors
+        workers = (processors * 3 + 1) // 2
         found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]
