@@ -20,10 +20,12 @@ from midstride.model.respawn import RespawnPolicy
 from midstride.model.specification import ChangeRequirement, Specification
 from midstride.plan.lowering import PlanLowering
 from midstride.plan.request import PlanRequest
+from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.change.change_permission import Override
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.manager import Manager
 from tests.plan.slow_lowering import is_better_finished
+from tests.planting import plant
 from tests.runtime.systems import example, managed, replace
 
 TOPIC = "/estop/released"
@@ -146,6 +148,20 @@ def test_a_topic_of_another_type_is_said(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         EmergencyStop(simulator, type_="std_msgs/msg/String")
         assert "std_msgs/msg/String is published there" in await outcome(manager)
+
+    run(body, tmp_path)
+
+
+def test_where_the_manager_cannot_listen_that_is_why_nothing_may_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on ROS 1, whose back end has what the protocol says by default."""
+    plant(monkeypatch, Simulator, "listen", Backend.listen)
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        assert "on sim, the manager cannot listen to topics" in await outcome(manager)
+        [status] = (await manager.status()).requirements
+        assert (status.holds, status.because) == (False, "on sim, the manager cannot listen to topics")
 
     run(body, tmp_path)
 

@@ -64,6 +64,22 @@ async def restoring(chain: Chain, name: str = "b") -> str | None:
     return found.functionalities[0].restoring
 
 
+def test_a_lock_that_holds_recovery_back_delays_restoring_and_uses_up_no_attempt(tmp_path: Path) -> None:
+    async def body(chain: Chain) -> None:
+        chain.manager.lock("a person is inside", "alice", None, holds_recovery=True)
+        await fall(chain)
+        (chain.folder / "silent").unlink()
+        await asyncio.sleep(20.0)
+        assert modes(chain)[1:] == ["degraded"] * 3 and words(chain, "restore") == []
+        held = await restoring(chain)
+        assert held is not None and held.startswith("restored when that may happen: the system is locked by alice")
+        chain.manager.unlock("alice")
+        await restored(chain)
+        assert words(chain, "restore") == ["what b.work relies on is back: it is restored (1 of 5 in 60 s)"]
+
+    in_chain(tmp_path, body)
+
+
 @pytest.mark.parametrize("fault", ["silent", "slow", "hung"])
 def test_what_fell_comes_back_without_a_command_and_says_so(tmp_path: Path, fault: str) -> None:
     async def body(chain: Chain) -> None:
