@@ -89,6 +89,7 @@ def test_lifecycle_nodes_that_nothing_manages_get_the_gate_by_which_midstride_do
         "/camera, /life_a, /life_b: managed by nothing, so Midstride manages the lifecycle from now on"
     ]
     assert 'run "camera" takes 3 s stop sigterm 9 s gate lifecycle\n' in found.text
+    assert insert(found.text, "robot.stride", robot(set())).lifecycle == []
     assert not any("bond" in port for role in system.nodes for port in system.component_of(role).ports())
 
 

@@ -237,9 +237,9 @@ def test_each_of_two_nodes_of_a_program_gets_its_own_section(tmp_path: Path) -> 
 UNNAMED = (COMPONENT % "%s").replace("gate preload", "gate preload unnamed")
 
 
-def unnamed_launch(specification: Specification, instance: str, folder: Path) -> Launch:
-    found = specification.instance("n", instance)
-    return Launch(instance, "", (), "t", folder, dict(found.parameters), {}, sections=found.sections, role="n")
+def unnamed_launch(specification: Specification, role: str, instance: str, folder: Path) -> Launch:
+    found = specification.instance(role, instance)
+    return Launch(instance, "", (), "t", folder, dict(found.parameters), {}, sections=found.sections, role=role)
 
 
 @needs_rcl
@@ -252,13 +252,16 @@ def unnamed_launch(specification: Specification, instance: str, folder: Path) ->
         ('parameters "q.yaml"  parameters { rate = 40.0 }  parameters "p.yaml"', "q.yaml inline.yaml p.yaml"),
     ],
 )
-def test_a_node_that_its_program_names_gets_what_launch_gives_it(statements: str, launch: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("role", ["n", "talk"])  # an import calls it as its executable, as its program often does
+def test_a_node_that_its_program_names_gets_what_launch_gives_it(
+    statements: str, launch: str, role: str, tmp_path: Path
+) -> None:
     files = {
         "p.yaml": "talk: {ros__parameters: {rate: 20.0}}\n",
         "q.yaml": "/**: {ros__parameters: {rate: 30.0, all: 1}}\ntalk: {ros__parameters: {own: 2}}\n",
         "inline.yaml": "/**: {ros__parameters: {rate: 40.0}}\n",  # as launch writes values for such a node
     }
-    specification = loaded(tmp_path, UNNAMED % statements + "node n : C\n", files)
+    specification = loaded(tmp_path, UNNAMED % statements + f"node {role} : C\n", files)
     assert specification is not None
     original = rcls(tmp_path, launch.split())
     assert original is not None
@@ -267,7 +270,7 @@ def test_a_node_that_its_program_names_gets_what_launch_gives_it(statements: str
     nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path), lambda node: None)
 
     def started(instance: str, running: str = "") -> tuple[list[str], list[tuple[str, dict[str, Any]]]]:
-        given = unnamed_launch(specification, instance, tmp_path)
+        given = unnamed_launch(specification, role, instance, tmp_path)
         name = nodes.start_name(given, component, lambda node: node == running)
         arguments = nodes.arguments(given, component, name)
         found = rcl_sections([parameter_file(tmp_path / "gates", instance)])
@@ -275,21 +278,21 @@ def test_a_node_that_its_program_names_gets_what_launch_gives_it(statements: str
         return arguments, found
 
     # At first its name is not known.
-    arguments, found = started("n")
+    arguments, found = started(role)
     assert not any("__node" in word for word in arguments)
     assert effective(found, "talk") == effective(original, "talk")
     assert effective(found, "other") == effective(original, "other")
     # Then it is, also to the next manager: it keeps the name where that is free, and is renamed alone beside another.
-    OwnNames(tmp_path / "gates").note("n", "/talk")
+    OwnNames(tmp_path / "gates").note(role, "/talk")
     nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path), lambda node: None)
-    arguments, found = started("n_2")
+    arguments, found = started(f"{role}_2")
     assert not any("__node" in word for word in arguments)
     assert effective(found, "talk") == effective(original, "talk")
-    arguments, found = started("n_2", running="/talk")
+    arguments, found = started(f"{role}_2", running="/talk")
     assert arguments[:3] == ["--ros-args", "-r", "talk:__node:=talk_2"]
     assert effective(found, "talk_2") == effective(original, "talk")
     with pytest.raises(StartFailed, match="a node /talk is running already"):
-        started("n", running="/talk")
+        started(role, running="/talk")
 
 
 @pytest.mark.parametrize("gate", ["gate relay unnamed", "unnamed"])

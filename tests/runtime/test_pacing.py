@@ -9,7 +9,7 @@ import pytest
 
 from midstride.backends.simulator.virtual_loop import run
 from midstride.runtime.manager_clock import Clock
-from midstride.runtime.process.pacing import INTERVAL, LOOK, MOST_EACH, SPARE, room_for_a_start
+from midstride.runtime.process.pacing import INTERVAL, LOOK, MOST_EACH, PATIENCE, SPARE, room_for_a_start
 
 PROCESSORS = 2
 
@@ -61,7 +61,15 @@ def test_where_processors_are_idle_more_may_start_one_after_another(starting: in
 def test_a_busy_machine_or_one_on_which_many_start_waits_until_one_has_registered(idle: float, starting: int) -> None:
     async def main() -> None:
         machine = Machine(idle, starting)
-        asyncio.get_running_loop().call_later(5.0, lambda: setattr(machine, "starting", PROCESSORS - 1))
-        assert await waited(machine) == pytest.approx(5.0, abs=2 * LOOK)
+        asyncio.get_running_loop().call_later(2.0, lambda: setattr(machine, "starting", PROCESSORS - 1))
+        assert await waited(machine) == pytest.approx(2.0, abs=2 * LOOK)
+
+    run(main())
+
+
+@pytest.mark.parametrize(("idle", "starting"), [(0.0, PROCESSORS), (PROCESSORS, MOST_EACH * PROCESSORS)])
+def test_what_does_not_register_does_not_hold_up_what_it_may_wait_for(idle: float, starting: int) -> None:
+    async def main() -> None:
+        assert await waited(Machine(idle, starting)) == pytest.approx(PATIENCE, abs=INTERVAL + LOOK)
 
     run(main())

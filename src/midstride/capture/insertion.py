@@ -251,7 +251,8 @@ class _Inserter:
         """
         nodes = [(item, inside) for item, inside in self._items(self.file.items, "") if self._is_node(item)]
         here = {self.names[id(item)]: item for item, _ in nodes}
-        result.lifecycle = words_on(self.graph, self.management, here)
+        already = {full for full, item in here.items() if self._has_lifecycle_gate(item)}
+        result.lifecycle = words_on(self.graph, self.management, here, already)
         if self.management != "midstride":
             return
         require_all(self.graph, here, self.name)
@@ -272,6 +273,11 @@ class _Inserter:
                 start, end = self._statement_of(item)
                 self.edits = [each for each in self.edits if not start <= each[0] < end]
                 self.edits.append((start, end, f"# {full} is left out: Midstride manages the lifecycle of its nodes"))
+
+    def _has_lifecycle_gate(self, node: NodeDeclaration) -> bool:
+        component = self.components.get(node.component.text if node.component else "")
+        runs = () if component is None else component.runs
+        return any(run.gate is not None and run.gate.text.startswith("lifecycle") for run in runs)
 
     @staticmethod
     def _is_node(item: Item) -> TypeGuard[NodeDeclaration]:

@@ -29,8 +29,10 @@ def note_managers(graph: ObservedGraph, specification: Specification) -> None:
             graph.managers.setdefault(f"/{role}", set()).update(nodes)
 
 
-def words_on(graph: ObservedGraph, management: Management | None, here: Container[str]) -> list[str]:
-    """Return what manages which of the nodes that are ``here``, in sentences."""
+def words_on(
+    graph: ObservedGraph, management: Management | None, here: Container[str], already: Container[str] = ()
+) -> list[str]:
+    """Return what manages which nodes that are ``here``, in sentences; ``already``: those that Midstride does."""
     words = []
     for manager, managed in sorted(graph.managers.items()):
         nodes = ", ".join(sorted(managed))
@@ -48,7 +50,8 @@ def words_on(graph: ObservedGraph, management: Management | None, here: Containe
     alone = [
         node
         for node in sorted(graph.lifecycle)
-        if node in here and not graph.managers_of(node) and gate_of_lifecycle(graph, node, management)
+        if node in here and node not in already
+        if not graph.managers_of(node) and gate_of_lifecycle(graph, node, management)
     ]
     if alone:
         words.append(f"{', '.join(alone)}: managed by nothing, so Midstride manages the lifecycle from now on")

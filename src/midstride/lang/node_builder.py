@@ -122,10 +122,21 @@ class NodeBuilder:
         return Node(entry.role, name, self._attachments(entry), values, policy, sections)
 
     def _other_sections(self, stated: _Stated) -> Iterator[ParameterSection]:
-        """Those that a further node in the process may read, which is none of the system's own nodes."""
+        """Those that a further node in the process may read, which is none of the system's own nodes.
+
+        What a node is called that its program names is not known here: it may have its own name, or any other.
+        """
         for pattern, values in stated.sections.items():
-            if values and pattern.strip("/") not in self.declarations.nodes:
+            if values and not self._is_named(pattern.strip("/")):
                 yield ParameterSection(pattern, Map(values))
+
+    def _is_named(self, role: str) -> bool:
+        """Whether the system has a node ``role`` that is passed this name."""
+        entry = self.declarations.nodes.get(role)
+        if entry is None:
+            return False
+        component = None if entry.declaration.component is None else entry.declaration.component.text
+        return component not in self.components or not self.components[component].unnamed
 
     def _attachments(self, entry: NodeEntry) -> Map[str, tuple[str, ...]]:
         declaration = entry.declaration

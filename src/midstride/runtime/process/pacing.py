@@ -16,6 +16,9 @@ MOST_EACH: Final = 8
 # Over this time (s), at least this share of one processor must have been idle before another process starts.
 INTERVAL: Final = 0.1
 SPARE: Final = 0.5
+# After how long (s) one more may start in any case: what does not register may wait for another that does not run yet,
+# as a lifecycle node for the program that configures it.
+PATIENCE: Final = 3.0
 # How soon it is noticed that one has registered, which makes room for another (s): one that is forked takes 0.1 s.
 LOOK: Final = 0.01
 
@@ -23,10 +26,10 @@ LOOK: Final = 0.01
 async def room_for_a_start(clock: Clock, starting: Callable[[], int]) -> None:
     """Return when another process may start; ``starting`` counts those that have not registered yet.
 
-    One per processor may start in any case, also on a machine that is busy with other work.
+    One per processor may start in any case, also on a machine that is busy with other work, and one more each PATIENCE.
     """
-    processors = clock.processors()
-    while starting() >= processors:
+    processors, begun = clock.processors(), clock.steady()
+    while starting() >= processors and clock.steady() - begun < PATIENCE:
         at, idle = clock.steady(), clock.idle()
         while (passed := clock.steady() - at) < INTERVAL:
             await clock.sleep(LOOK)
