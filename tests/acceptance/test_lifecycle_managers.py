@@ -124,6 +124,7 @@ def test_a_manager_without_bonds_does_not_notice_and_a_broken_bond_would_have_ta
         run(scenario())
 
 
+@pytest.mark.long  # the bonds themselves are formed in each test above
 def test_the_stand_in_takes_all_down_when_a_bond_breaks_and_the_status_says_so(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with robot(tmp_path, 2.0) as (manager, bare):

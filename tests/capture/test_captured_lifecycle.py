@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from midstride.capture.graph_draft import draft
-from midstride.capture.insertion import Insertion, insert
+from midstride.capture.insertion import Insertion, insert, nodes_without_ports
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.taken_over import note_managers, words_on
 from midstride.errors import SpecificationError
@@ -134,6 +134,13 @@ def test_a_manager_that_does_not_run_is_recognised_by_its_parameters(tmp_path: P
     note_managers(graph, checked(FILE, tmp_path))
     assert graph.managers == {"/manager": {"/life_a", "/life_b"}}
     assert 'run "life" gate preload\n' in insert(FILE, "robot.stride", graph).text
+
+
+def test_programs_that_end_get_no_ports_and_are_not_waited_for() -> None:
+    text = FILE.replace('run "plain" gate preload', 'run "plain" once')
+    assert "/plain" not in nodes_without_ports(text, "robot.stride") and "/camera" in nodes_without_ports(text, "r")
+    found = insert(text, "robot.stride", robot(set()))
+    assert found.left["/plain"] == "its program ends when it has done its work (`once`)"
 
 
 def test_midstride_does_not_take_over_a_part_of_the_nodes_of_a_manager() -> None:

@@ -30,7 +30,11 @@ PAGES = sorted(
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")]
     if page.is_file()
 )
-ON_ROS_2 = {"docs/how-to/unmodified-nodes.md", "docs/how-to/from-launch-files.md"}
+ON_ROS_2 = {
+    "docs/how-to/bring-your-robot.md",
+    "docs/how-to/from-launch-files.md",
+    "docs/how-to/unmodified-nodes.md",
+}
 RUN = {"sh", "python", "text", "json"}
 
 

@@ -150,6 +150,8 @@ class _Inserter:
                     result.left[full] = "Midstride manages what it managed"
                 elif component is None:
                     result.left[full] = "its component is not in this file"
+                elif any(run.once is not None for run in component.runs):  # it is not waited for
+                    result.left[full] = "its program ends when it has done its work (`once`)"
                 elif component.inputs or component.outputs or component.functionalities or component.like:
                     result.left[full] = "its component states its ports"
                 else:
