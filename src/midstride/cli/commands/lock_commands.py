@@ -6,10 +6,11 @@ import re
 import socket
 import time
 from datetime import datetime, timedelta
-from typing import Any, Final
+from typing import Any
 
 import click
 
+from midstride.cli.durations import duration
 from midstride.cli.output import json_option, show
 from midstride.cli.running_systems import find, system_option
 from midstride.cli.user_name import user_name
@@ -19,15 +20,13 @@ class Duration(click.ParamType):  # type: ignore[type-arg]  # generic in the new
     """A time with its unit: ``90s``, ``5m``, ``2h``, ``1d``."""
 
     name = "duration"
-    _FORM: Final = re.compile(r"(\d+(?:\.\d+)?)(s|m|h|d)")
-    _SECONDS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """The time in seconds."""
-        found = self._FORM.fullmatch(str(value))
-        if found is None or not float(found[1]):
+        seconds = duration(str(value))
+        if not seconds:
             self.fail(f"{value!r} is no time such as 90s, 5m, 2h or 1d", param, ctx)
-        return float(found[1]) * self._SECONDS[found[2]]
+        return seconds
 
 
 class LocalTime(click.ParamType):  # type: ignore[type-arg]  # as above
@@ -65,7 +64,7 @@ def _asked_by(by: str | None) -> str:
 @click.command("lock")
 @click.option("--reason", required=True, metavar="TEXT", help="Why: everyone whose change is refused reads it.")
 @_by_option
-@click.option("--for", "duration", type=Duration(), metavar="TIME", help="End the lock after 90s, 5m, 2h, 1d.")
+@click.option("--for", "lasting", type=Duration(), metavar="TIME", help="End the lock after 90s, 5m, 2h, 1d.")
 @click.option("--until", type=LocalTime(), metavar="TIME", help="End the lock at 18:30, or 2026-03-01T08:00.")
 @click.option(
     "--also-recovery",
@@ -75,18 +74,18 @@ def _asked_by(by: str | None) -> str:
 @system_option
 @json_option
 def lock_command(
-    reason: str, by: str | None, duration: float | None, until: float | None, also_recovery: bool, system: str | None
+    reason: str, by: str | None, lasting: float | None, until: float | None, also_recovery: bool, system: str | None
 ) -> int:
     """Refuse every change of the running system until it is unlocked: a person is at work on it, or it moves.
 
     A change in progress goes on. `midstride down` is always allowed. The lock outlives the manager.
     """
-    if duration is not None and until is not None:
+    if lasting is not None and until is not None:
         raise click.UsageError("--for and --until exclude each other")
     if not reason.strip():
         raise click.UsageError("--reason is empty: say why the system must not be changed")
     client, _ = find(system)
-    end = until if duration is None else time.time() + duration
+    end = until if lasting is None else time.time() + lasting
     lock = client.lock(reason.strip(), _asked_by(by), end, holds_recovery=also_recovery)
     from midstride.cli.render_status import lock_line
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -11,6 +10,7 @@ import click
 
 from midstride.cli import shell_completion
 from midstride.cli.client import Client
+from midstride.cli.durations import duration
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
@@ -89,13 +89,11 @@ class Since(click.ParamType):  # type: ignore[type-arg]  # generic in the newest
     """The number of an event, or a time before now: ``90s``, ``5m``, ``2h``."""
 
     name = "since"
-    _TIME: Final = re.compile(r"(\d+(?:\.\d+)?)(s|m|h)")
-    _SECONDS: Final = {"s": 1, "m": 60, "h": 3600}
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """The number, or minus the time of day (s) from which on."""
-        if isinstance(value, str) and (found := self._TIME.fullmatch(value)):
-            return float(found[1]) * self._SECONDS[found[2]] - time.time()
+        if isinstance(value, str) and (seconds := duration(value)) is not None:
+            return seconds - time.time()
         if isinstance(value, str) and not value.lstrip("-").isdecimal():
             self.fail(f"{value!r} is neither the number of an event nor a time such as 90s, 5m or 2h", param, ctx)
         return int(click.IntRange(0).convert(value, param, ctx))

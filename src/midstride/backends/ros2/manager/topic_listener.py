@@ -49,6 +49,12 @@ class RosListener:
         return self._node.create_subscription(self._message_type, self._topic, lambda _: None, profile_of(qos))
 
     def heard(self) -> HeardMessage:
+        try:
+            return self._heard()
+        except RuntimeError as error:  # the base of rclpy's own kinds
+            return HeardMessage(problem=f"the middleware cannot be asked: {error}")
+
+    def _heard(self) -> HeardMessage:
         infos = self._graph.living_publishers(self._topic)
         if others := sorted({info.topic_type for info in infos} - {self._type}):
             return HeardMessage(publishers=len(infos), problem=f"{', '.join(others)} is published there")
