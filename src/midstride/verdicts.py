@@ -256,6 +256,26 @@ def not_looked_at(instance: str) -> Assessment:
     return Assessment(instance, "not_measurable", words)
 
 
+def will_end_with(node: str, words: str, instance: str, *, replaced: bool) -> Assessment:
+    """A plan ends a process that has another node; ``words`` say what that does. ``replaced``: a new one is started."""
+    again = "; whether the new instance has it is not known" if replaced else ""
+    return Assessment(node, "lost", f"node {words} ends with {instance}, whose process it is in{again}")
+
+
+def ended_with(node: str, words: str, instance: str, *, again: str | None, planned: bool) -> Assessment:
+    """A node has ended with another one of its process. ``again``: the instance that has one of its name now."""
+    if again is not None:
+        found = f"what node {words} does: it ended with {instance}, and {again} has such a node"
+        return Assessment(node, "not_measurable", f"{found}; for how long it did nothing is not measured")
+    gone = f"node {words} ended with {instance}, and had not been started again when this was reported"
+    return Assessment(node, "lost", gone, lasting=not planned)
+
+
+def unknown_others(instance: str, because: str) -> Assessment:
+    """Which other nodes end with an instance cannot be known."""
+    return Assessment(instance, "not_measurable", f"which other nodes end with {instance}: {because}")
+
+
 def two_writers(role: str, topics: Sequence[str], seconds: float | None = None) -> Assessment:
     """Both instances of a role write to topics that no port states, while both run (``seconds``, once measured)."""
     time = "while both instances run" if seconds is None else f"for up to {seconds_in_words(seconds)}"

@@ -2,7 +2,9 @@
  * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one.
  * FAKE_OTHERS in its environment is how many publishers of the topic it creates before, and removes after, its own.
  * FAKE_TOPICS is for how many further topics it creates publishers, TOPIC_0 and so on. With FAKE_SECOND, the full name of
- * another node in the process, that publishes on the topic as well, as WRITER + 1000. */
+ * another node in the process, that publishes on the topic as well, as WRITER + 1000. FAKE_NODES has the names of nodes that
+ * it creates first, with the name `/given` for all by the rules of the command line: one with `=` has that other name by a
+ * rule of its own, and one with `-` is ended at once. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <stdio.h>
@@ -11,6 +13,13 @@
 #include <time.h>
 #include <unistd.h>
 
+struct allocator {
+  void *functions[5];
+};
+
+int rcl_node_init(void *, const char *, const char *, void *, const void *);
+int rcl_node_fini(void *);
+int rcl_remap_node_name(const void *, const void *, const char *, struct allocator, char **);
 int rcl_publisher_init(void *, const void *, const void *, const char *, const void *);
 int rcl_publisher_fini(void *, void *);
 int rcl_publish(const void *, const void *, void *);
@@ -24,8 +33,27 @@ static long long now(void)
   return at.tv_sec * 1000000000ll + at.tv_nsec;
 }
 
+static void create_nodes(char *names)
+{
+  for (char *name = strtok(names, ","); name; name = strtok(NULL, ",")) {
+    char *end = name + strlen(name) - 1, *local = strchr(name, '='), *remapped = NULL;
+    int ends = *end == '-';
+    if (ends)
+      *end = 0;
+    if (local)
+      *local++ = 0;
+    rcl_remap_node_name(local, "/given", name, (struct allocator){{NULL}}, &remapped);
+    void **node = malloc(sizeof *node);
+    rcl_node_init(node, remapped ? remapped : name, "", NULL, NULL);
+    if (ends)
+      rcl_node_fini(node);
+  }
+}
+
 int main(int count, char **arguments)
 {
+  if (getenv("FAKE_NODES"))
+    create_nodes(strdup(getenv("FAKE_NODES")));
   static const char type;
   void *publisher, *second_publisher, *subscription = NULL, *log;
   const char *first = "/first", *second = getenv("FAKE_SECOND"), *topics = getenv("FAKE_TOPICS");

@@ -86,6 +86,31 @@ const char *rcl_node_get_fully_qualified_name(const char *const *node)
   return node ? *node : NULL;
 }
 
+int rcl_node_init(const char **node, const char *name, const char *namespace, void *context, const void *options)
+{
+  (void)namespace, (void)context, (void)options;
+  *node = name;
+  return 0;
+}
+
+int rcl_node_fini(const char **node)
+{
+  *node = NULL;
+  return 0;
+}
+
+struct allocator {
+  void *functions[5];
+};
+
+/* Rules are the name that they give every node. */
+int rcl_remap_node_name(const char *local, const char *global, const char *name, struct allocator memory, char **remapped)
+{
+  (void)name, (void)memory;
+  *remapped = local || global ? strdup(local ? local : global) : NULL;
+  return 0;
+}
+
 int rcl_publisher_init(struct publisher *publisher, const void *node, const void *type, const char *name, const void *options)
 {
   (void)node, (void)type, (void)options;

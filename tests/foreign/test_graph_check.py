@@ -258,7 +258,8 @@ def test_a_node_that_differs_is_not_accepted(tmp_path: Path, programs: Path, gat
             while not (found := (await system.client.observe("new")).differences):
                 await asyncio.sleep(0.05)
             assert "with best_effort" in found[0]
-            assert (await system.client.observe("new")).undeclared == ["publishes on /number (std_msgs/msg/Int32)"]
+            [other] = (await system.client.observe("new")).undeclared
+            assert other.words == "publishes on /number (std_msgs/msg/Int32)"
         finally:
             system.client.close()
             for agent in system.agents.values():

@@ -20,6 +20,7 @@ from midstride.foreign.page import (
     CLOSED,
     INPUT,
     MAGIC,
+    NAMES_ONE,
     OPEN,
     OUTPUT,
     PAGE,
@@ -112,6 +113,35 @@ def two(lab: Lab, monkeypatch: pytest.MonkeyPatch, messages: int = 10**12, flags
     lab.run(first, MS, messages)
     monkeypatch.delenv("FAKE_SECOND")
     return first, second
+
+
+def test_the_nodes_of_a_process_are_listed_while_they_are_there(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    index = lab.page.allocate("both")
+    lab.page.set_ports(index, [("/chat", OUTPUT), ("/other", OUTPUT)])
+    monkeypatch.setenv("FAKE_NODES", "/a,/b=/local,/c-")
+    lab.run(index, MS, 10**12)
+    # The rules of the command line name them all, as long as no node is to be named alone.
+    assert lab.page.ros_nodes(index) == ["/given", "/local"]
+    assert [port.topic for port in lab.page.ports(index)] == [b"/chat", b"/other"], "a node is no port"
+    lab.page.free(index)
+    assert lab.page.ros_nodes(index) == []
+
+
+def test_a_name_for_all_nodes_names_the_first_one_alone(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that its program names by a rule of its own is not meant; the first one keeps its name when made anew."""
+    index = lab.page.allocate("both")
+    lab.page.set_ports(index, [("/chat", OUTPUT)])
+    lab.page.layout.nodes[index].used |= NAMES_ONE
+    monkeypatch.setenv("FAKE_NODES", "/helper=/local,/first-,/second,/first,/third=/other")
+    lab.run(index, MS, 10**12)
+    assert lab.page.ros_nodes(index) == ["/given", "/local", "/other", "/second"]
+
+
+def test_where_the_page_has_no_room_for_a_node_they_are_not_known(lab: Lab) -> None:
+    index = lab.page.allocate("both")
+    assert lab.page.ros_nodes(index) == []
+    lab.page.layout.nodes[index].unlisted = 1
+    assert lab.page.ros_nodes(index) is None
 
 
 def writers(lab: Lab, since: int) -> set[int]:

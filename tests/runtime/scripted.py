@@ -36,6 +36,7 @@ from midstride.runtime.backend_protocol import (
     Exited,
     Handle,
     Launch,
+    OtherNodes,
     RemainingProcess,
     TopicListener,
 )
@@ -305,6 +306,7 @@ class ScriptedBackend:
 
     def __init__(self, clock: Clock, client: ScriptedClient) -> None:
         self.name = "scripted"
+        self.shares_processes = False
         self.clock = clock
         self.transport: Transport = PipeNetwork()
         self.launches: list[Launch] = []
@@ -317,6 +319,9 @@ class ScriptedBackend:
         self.lingering: dict[str, int] = {}
         self.instances: dict[str, Instance] = {}  # those that register when they are started
         self._client = client
+
+    def other_nodes(self, instances: Collection[str]) -> dict[str, OtherNodes]:
+        return {}
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None: ...
 

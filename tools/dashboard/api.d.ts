@@ -137,6 +137,8 @@ declare namespace Api {
     detours?: boolean;
     /** start with the declared values of parameters, not with those set at run time */
     declared_parameters?: boolean;
+    /** also where other nodes end with a process that the change ends: else it is refused */
+    with_other_nodes?: boolean;
     /** for a plan that is only shown: what it would cost to keep what it degrades */
     explain?: boolean;
   }
@@ -551,6 +553,10 @@ declare namespace Api {
     differences: string[];
     /** the topics of its node that are no ports: they have no gate */
     undeclared: string[];
+    /** that end with it, besides its own */
+    other_nodes: OtherNodeStatus[];
+    /** why some of them may not be known */
+    other_nodes_unknown: string | null;
     /** in which way it is not as specified, in words; null: it is */
     deviation: string | null;
     /** /clock drives its ROS clock */
@@ -740,6 +746,18 @@ declare namespace Api {
     publishers: string[];
     /** empty where a port listens */
     subscribers: string[];
+  }
+
+  /** A ROS node that ends with an instance, since it is in its process, or in one that this has started. */
+  interface OtherNodeStatus {
+    /** its full name */
+    name: string;
+    /** topics */
+    publishes: string[];
+    /** services and ROS actions, in words */
+    serves: string[];
+    /** it has the name of the program's own node */
+    namesake: boolean;
   }
 
   /** The result of a change; `refused`: nothing was changed. */

@@ -25,6 +25,7 @@ from midstride.model.component import StopTimes
 from midstride.model.instance_names import log_file_name
 from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.runtime.manager_clock import Clock, SystemClock
+from midstride.runtime.process import reaper
 from midstride.runtime.process.child_process import Process, end_orphans, find, spawn
 from midstride.runtime.process.family import mark_of
 from midstride.runtime.process.log_runs import begin_run
@@ -228,6 +229,11 @@ class ProcessBackend(abc.ABC):
 
     async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
         return await end_orphans(token, known, stop)
+
+    def families(self) -> dict[str, set[int]]:
+        """By instance, the numbers of the processes that belong to it."""
+        found = list(reaper.processes())
+        return {instance: process.family(found) for instance, process in self._processes.items()}
 
     def is_stopped(self, instance: str) -> bool:
         process = self._processes.get(instance)

@@ -50,6 +50,14 @@ def declared_parameters_option(function: Any) -> Any:
     return click.option("--declared-parameters", is_flag=True, help=summary)(function)
 
 
+def with_other_nodes_option(function: Any) -> Any:
+    summary = (
+        "Also where other nodes end with a process that the change ends, as the components in a container do. Without "
+        "this option, such a change is refused with their names."
+    )
+    return click.option("--with-other-nodes", is_flag=True, help=summary)(function)
+
+
 def parse_pair(text: str, form: str) -> tuple[str, str]:
     """``NAME=VALUE``. Raises UsageError, which names the expected form."""
     name, equals, value = text.partition("=")

@@ -33,6 +33,8 @@ def status(status: Status) -> RenderableType:
         for row in rows or [(Text("none", style="dim"), Text(""), Text(""))]:
             live.add_row(*first, *row)
             first = ["", "", ""]
+        for line in _others(component):
+            live.add_row("", "", "", *line)
     lines = [*_topics(status), *_unmet(status), *_programs(status), *_set(status), *_problems(status)]
     return Group(Text.from_markup(_heading(status)), live, *lines)
 
@@ -86,6 +88,18 @@ def _functionality(row: FunctionalityStatus, component: InstanceStatus) -> tuple
     if row.busy:
         why.append(f"busy for {seconds(row.busy)}")
     return name, mode, Text("; ".join(why))
+
+
+def _others(component: InstanceStatus) -> Iterable[tuple[Text, Text, Text]]:
+    """The other nodes that end with it, one line each; a second one of its own name is explained."""
+    for each in component.other_nodes:
+        why = "of the same process"
+        if each.namesake:
+            why = "a second node of this name, as `__node:=` names all nodes of a process: see `unnamed`"
+        yield Text(f"also node {each.name}"), Text(""), Text(why, style="dim")
+    if component.other_nodes_unknown:
+        words = f"other nodes of its process are not known: {component.other_nodes_unknown}"
+        yield Text(""), Text(""), Text(words, style="dim")
 
 
 def _topics(status: Status) -> Iterable[Text]:

@@ -35,7 +35,7 @@ from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply, Request
-from midstride.wire.state import GateState, WireValue
+from midstride.wire.state import GateState, UndeclaredTopic, WireValue
 from midstride.wire.transport import Transport
 
 HEARTBEAT: Final = 0.5
@@ -259,7 +259,7 @@ class ForeignAgent:
         seen = (
             [*self._declared.differences(found), *left, *self._managed_twice(served)],
             [
-                f"{'publishes on' if each.output else 'subscribes to'} {each}"
+                UndeclaredTopic(output=each.output, topic=each.topic, type=each.type)
                 for each in self._declared.undeclared(found)
             ],
             names,

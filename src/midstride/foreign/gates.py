@@ -12,6 +12,7 @@ from midstride.foreign.page import (
     CLOSED,
     INPUT,
     LISTS,
+    NAMES_ONE,
     OPEN,
     OUTPUT,
     Page,
@@ -53,6 +54,8 @@ class Gates:
         self._entries = dict(zip(self._names, self.page.ports(self.index), strict=True))
         if not listed:
             self.page.layout.nodes[self.index].used |= LISTS
+        if not self.component.unnamed:  # else the name is passed for one node only, or none
+            self.page.layout.nodes[self.index].used |= NAMES_ONE
         baton = self.page.new_baton(self.index)
         for port in self._names:
             entry = self.entry(port)

@@ -27,6 +27,7 @@ from midstride.wire.state import (
     GateState,
     LinkState,
     Measured,
+    UndeclaredTopic,
 )
 
 TICK: Final = 0.005
@@ -52,7 +53,7 @@ class ForeignNode:
         self.declared: dict[str, Any] = {}
         self.unread_parameters = False  # it has not answered when it was last asked for them
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
-        self.undeclared: list[str] = []  # its topics that are no ports
+        self.undeclared: list[UndeclaredTopic] = []  # its topics that are no ports
         self.serves: list[str] = []  # its services and ROS actions that others may rely on
         self.managed: list[str] = []  # why it must not end, as a lifecycle manager would take all of its nodes down
         self.calls: list[str] = []  # the ROS actions that it is a client of

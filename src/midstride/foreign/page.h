@@ -15,17 +15,19 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 2 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 3 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
 #define GROWTH 64 /* how many ports the file grows by */
 #define NAME 256
 
-/* Of a port: what its endpoints are. */
-enum { UNUSED = 0, OUTPUT = 1, INPUT = 2, SERVER = 3, CLIENT = 4 };
+/* Of a port: what its endpoints are. NODE: it is no port, and names a ROS node of the process instead of a topic. */
+enum { UNUSED = 0, OUTPUT = 1, INPUT = 2, SERVER = 3, CLIENT = 4, NODE = 5 };
 enum { CLOSED = 0, OPEN = 1 };  /* of a port: gate */
-enum { IN_USE = 1, LISTS = 2 }; /* of a node; LISTS: the library adds a port for each topic, open */
+/* Of a node. LISTS: the library adds a port for each topic, open. NAMES_ONE: a `__node:=` that is for all nodes of the
+ * process names the first of them alone. */
+enum { IN_USE = 1, LISTS = 2, NAMES_ONE = 4 };
 
 struct port {
   _Atomic uint32_t kind;
@@ -55,7 +57,8 @@ struct node {
   _Atomic uint32_t used; /* flags; 0: free */
   uint32_t process;      /* index + 1 of the node that its process was started as, which may be this one: the helper thread
                           * of the process knows the bell and the beat of that one only */
-  uint32_t spare[11];
+  _Atomic uint32_t unlisted; /* how many nodes of the process the page had no room to name */
+  uint32_t spare[10];
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */
 };

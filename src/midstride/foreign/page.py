@@ -18,7 +18,7 @@ from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 2
+VERSION: Final = 3
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -30,11 +30,13 @@ NAME: Final = 256
 GATES_FOLDER: Final = "gates"
 PAGE: Final = "page"
 
-# Of a port. The gate is in what publishes or receives; servers and clients have their place.
-UNUSED, OUTPUT, INPUT, SERVER, CLIENT = range(5)
+# Of a port. The gate is in what publishes or receives; servers and clients have their place. NODE: it is none, and
+# names a ROS node of the process.
+UNUSED, OUTPUT, INPUT, SERVER, CLIENT, NODE = range(6)
 CLOSED, OPEN = range(2)
-# Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate.
-IN_USE, LISTS = 1, 2
+# Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate. NAMES_ONE: a
+# `__node:=` for all nodes of the process names the first of them alone.
+IN_USE, LISTS, NAMES_ONE = 1, 2, 4
 
 # A node that no process has joined as for so long (s) may be given to another: its manager had been killed meanwhile.
 JOINED_WITHIN: Final = 60
@@ -82,7 +84,8 @@ class PageNode(ctypes.Structure):
         ("beat", c_uint32),
         ("used", c_uint32),
         ("process", c_uint32),
-        ("spare", c_uint32 * 11),
+        ("unlisted", c_uint32),
+        ("spare", c_uint32 * 10),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
     ]
@@ -200,8 +203,18 @@ class Page:
 
     def ports(self, index: int) -> list[PagePort]:
         """The ports of a node, in their order."""
-        found = [port for port in self.every_port() if port.node == index + 1 and port.kind != UNUSED]
+        found = [port for port in self.every_port() if port.node == index + 1 and port.kind not in (UNUSED, NODE)]
         return sorted(found, key=lambda port: int(port.number))
+
+    def ros_nodes(self, index: int) -> list[str] | None:
+        """The full names of all ROS nodes of the process that was started as the node ``index``, sorted.
+
+        A name that several have occurs as often. None where the page had no room for one of them.
+        """
+        if self.layout.nodes[index].unlisted:
+            return None
+        found = (port for port in self.every_port() if port.node == index + 1 and port.kind == NODE)
+        return sorted(port.topic.decode() for port in found)
 
     def every_port(self) -> Iterator[PagePort]:
         """The ports of all nodes, and the free ones."""

@@ -20,6 +20,7 @@ class PlanRequest:
     A role in ``replace`` or ``restart`` gets a new instance, also of the same component: its program may have changed.
     ``restart`` may accompany a whole specification.
     With ``declared_parameters``, parameter values that were set at run time are not kept.
+    ``with_other_nodes``: nodes that the change does not name, and that end with a process that it ends, are meant too.
     ``detours``: the strategy ``minimal`` also tries to move nodes that stay, and stand-ins.
     ``explain``: a plan that is only shown says what it would cost to keep what it degrades.
     ``restore``: only raise these functionalities of instances, to these modes.
@@ -34,6 +35,7 @@ class PlanRequest:
     strategy: str = "minimal"
     detours: bool = False
     declared_parameters: bool = False
+    with_other_nodes: bool = False
     restore: tuple[tuple[FunctionalityRef, int], ...] = ()
     explain: bool = False
 

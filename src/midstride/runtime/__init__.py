@@ -1,4 +1,4 @@
 PUBLIC = (
-    "Backend Clock DescribedProcess Endpoints Exited Handle HeardMessage Launch Manager RELAY_SUFFIX RemainingProcess "
-    "SystemClock SystemOptions Workspace within"
+    "Backend Clock DescribedProcess Endpoints Exited Handle HeardMessage Launch Manager OtherNode OtherNodes "
+    "RELAY_SUFFIX RemainingProcess SystemClock SystemOptions Workspace within"
 )

@@ -118,6 +118,47 @@ class RemainingProcess(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class OtherNode:
+    """A ROS node that ends with an instance, as it is in its process, or in one that this has started.
+
+    ``name`` is its full name. ``publishes``: the topics; ``serves``: its services and ROS actions, in words. Both are
+    empty where not known. ``namesake``: it has the name of the instance's own node, as ``__node:=`` gives all nodes of
+    a process one name.
+    """
+
+    name: str
+    publishes: tuple[str, ...] = ()
+    serves: tuple[str, ...] = ()
+    namesake: bool = False
+
+    @property
+    def words(self) -> str:
+        """Its name, and what others may rely on."""
+        does = ["a second one of that name"] if self.namesake else []
+        does += [f"publishes on {', '.join(self.publishes)}"] if self.publishes else []
+        does += [f"serves {', '.join(self.serves)}"] if self.serves else []
+        return f"{self.name} ({'; '.join(does)})" if does else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class OtherNodes:
+    """The nodes that end with an instance, besides its own; ``unknown``: why some may not be known."""
+
+    nodes: tuple[OtherNode, ...] = ()
+    unknown: str | None = None
+
+    @property
+    def names(self) -> list[str]:
+        """The full names, sorted."""
+        return sorted(node.name for node in self.nodes)
+
+    @property
+    def in_words(self) -> str:
+        """As `node /a` or `nodes /a, /b`."""
+        return f"node{'s' if len(self.nodes) > 1 else ''} {', '.join(self.names)}"
+
+
+@dataclass(frozen=True, slots=True)
 class Endpoints:
     """The graph as the middleware reports it: nodes, and publishers and subscribers as (node, topic) pairs.
 
@@ -155,9 +196,13 @@ class TopicListener(Protocol):
 
 
 class Backend(Protocol):
-    """A platform. One without spare processes, or that need not know what a component reports, inherits its methods."""
+    """A platform. One without spare processes, or that need not know what a component reports, inherits its methods.
+
+    ``shares_processes``: a process may have several nodes, so that :meth:`other_nodes` has to be asked now and then.
+    """
 
     name: str
+    shares_processes: bool = False
     clock: Clock
     transport: Transport
 
@@ -236,6 +281,14 @@ class Backend(Protocol):
         """The variables that decide which nodes this process can reach, such as `ROS_DOMAIN_ID`, as they take effect.
 
         A manager with others than the one that started the components could not reach them.
+        """
+        return {}
+
+    def other_nodes(self, instances: Collection[str]) -> dict[str, OtherNodes]:
+        """For each of these instances, the nodes that its end would end as well, as they are now.
+
+        Those whose processes have no other node, as far as is known, are left out. A platform where a process is one
+        node has none.
         """
         return {}
 

@@ -112,6 +112,7 @@ class Manager:
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
         self.watched = WatchedSystem(session, self._respawner, self._restorer, options.spares)
         launcher.on_killed = lambda name, seconds, words: events.add("killed", words, instance=name, seconds=seconds)
+        launcher.on_ending = lambda name, others: events.add("note", f"{name} is ended; with it: {others.in_words}")
         # What each of them learns of the others.
         events.listeners.append(journal.note)
         commands.listeners += [self._watch.look_soon, self._keep_spares]
@@ -152,6 +153,7 @@ class Manager:
         await self._backend.open(self._reconciler.on_exit)
         self._session.permission.follow(self.specification.requirements)
         self._watch.start()
+        self._session.others.start()
         async with self._reconciler.command(f"up {self.specification.name}"):
             interrupted = await self._journal.take_over()
             if self._journal.damaged is not None:
@@ -199,6 +201,7 @@ class Manager:
     async def close(self) -> None:
         """Disconnect; the components keep running."""
         await self._watch.close()
+        await self._session.others.close()
         await self._respawner.close()
         await self._restorer.close()
         await self._session.permission.close()
@@ -253,6 +256,7 @@ class Manager:
     async def status(self) -> Status:
         """The live components and their modes, with reasons, as they report them; silent ones are marked."""
         programs = await self._programs.status(self.configuration)
+        self._session.others.look()
         return status.status(self.watched, programs, await status.other_endpoints(self.watched))
 
     async def programs(self) -> list[ProgramStatus]:

@@ -8,7 +8,7 @@ from midstride.errors import ManagerError
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.request import require
-from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.backend_protocol import Exited, OtherNodes
 from midstride.runtime.instance_life import LifeTable, ProcessEvent
 from midstride.runtime.watch.reported_values import ReportedValues
 
@@ -18,6 +18,7 @@ class RunningSystem:
     """``configuration`` is the model: it changes once components have acknowledged. ``revision`` counts its changes.
 
     ``life`` knows what became of each instance. ``values``: the parameter values that were set at run time.
+    ``other_nodes``: by instance, the nodes that its end would end as well, as they were when last asked for.
     ``file`` was brought up or applied last, and ``changed_since``: another command has changed the specification then.
     """
 
@@ -28,6 +29,7 @@ class RunningSystem:
     changed_since: bool = False
     revision: int = 0
     values: ReportedValues = field(default_factory=ReportedValues)
+    other_nodes: dict[str, OtherNodes] = field(default_factory=dict)
 
     def has_instance(self, role: str) -> bool:
         """Whether an instance has that role: it answers requests until its successor is to."""

@@ -33,6 +33,19 @@ class Endpoint(WireValue, frozen=True, kw_only=True):
     serves: bool | None = None
 
 
+class UndeclaredTopic(WireValue, frozen=True, kw_only=True):
+    """A topic, by its full name, that a node without Midstride's API publishes on or subscribes to beside its ports."""
+
+    output: bool
+    topic: str
+    type: str
+
+    @property
+    def words(self) -> str:
+        """As ``publishes on /chatter (std_msgs/msg/String)``."""
+        return f"{'publishes on' if self.output else 'subscribes to'} {self.topic} ({self.type})"
+
+
 class FunctionalityState(WireValue, frozen=True, kw_only=True):
     """``since``: seconds in this mode. ``busy``: for how many seconds a call of user code has been running.
 
@@ -143,7 +156,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
     keeps_state: bool = False
     differences: list[str] = []
-    undeclared: list[str] = []
+    undeclared: list[UndeclaredTopic] = []
     serves: list[str] = []
     managed: list[str] = []
     calls: list[str] = []

@@ -6,6 +6,8 @@ ros2/rmw_zenoh:
 
 - *Processes.* An endpoint's gid is its GUID in both DDS, and begins with that of the participant, one for each
   context (DDSI-RTPS 9.3.1). rmw_zenoh hashes the key expression of the liveliness token into it.
+  Fast DDS has the low 16 bits of the process's number in it, and 16 random bits of the process, before the number of
+  the participant (GuidUtils.hpp in eProsima/Fast-DDS): so contexts of one process are known to be of one.
 - *Acknowledgements.* Both DDS wait for their readers. rmw_zenoh returns success unchecked (ros2/rmw_zenoh#215).
 - *Numbers.* rmw_fastrtps and rmw_zenoh number each publisher's messages; rmw_zenoh denied it by mistake until
   ros2/rmw_zenoh#920. rmw_cyclonedds does not.
@@ -17,15 +19,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from midstride.node.component_host import MessageInfo
 
 _PARTICIPANT: Final = 12  # bytes of a GUID that name its participant (DDSI-RTPS 9.3.1)
+# Of a GUID of Fast DDS: the bytes that name the vendor and the computer, and those that name the process as well.
+_HOST: Final = 4
+_PROCESS: Final = 8
+# How many values of a process's number it has.
+PIDS: Final = 2**16
 _UNSUPPORTED: Final = 2**64 - 1  # RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED
 _NOTHING: Final = MessageInfo(None, None, None)
 # How long after its lease the end of a process may take to show (s).
 _NOTICE: Final = 5.0
+
+
+class NodeProcess(NamedTuple):
+    """The process of a node, as the middleware names it: ``key`` is equal for nodes of one process.
+
+    ``host`` is equal on one computer; ``pid`` is the process's number modulo ``PIDS``. Both are None where they are not
+    told.
+    """
+
+    key: bytes
+    host: bytes | None = None
+    pid: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +69,16 @@ class RmwImplementation:
     def process_of(self, info: Any) -> bytes | None:
         """Which process has an endpoint of the graph: equal for those of one process. None if that is unknown."""
         return None if self.participant is None else bytes(info.endpoint_gid)[: self.participant]
+
+    def node_process(self, info: Any) -> NodeProcess | None:
+        """The process that an endpoint of the graph belongs to; None if that is not told.
+
+        Except with Fast DDS, it is that of one ROS context: a process that makes a second one is not known to be one.
+        """
+        gid = bytes(info.endpoint_gid)
+        if not self.fast_dds:
+            return None if self.participant is None else NodeProcess(gid[: self.participant])
+        return NodeProcess(gid[:_PROCESS], gid[:_HOST], int.from_bytes(gid[_HOST : _HOST + 2], "little"))
 
     @property
     def linger(self) -> float:

@@ -37,6 +37,7 @@ class RequestOptions:
     yes: bool
     despite_lock: bool
     despite_requirements: bool
+    with_other_nodes: bool
 
 
 def request_options(function: Any) -> Any:
@@ -52,17 +53,19 @@ def request_options(function: Any) -> Any:
         yes: bool,
         despite_lock: bool,
         despite_requirements: bool,
+        with_other_nodes: bool,
         **arguments: Any,
     ) -> int:
         despite = (despite_lock, despite_requirements)
-        options = RequestOptions(system, strategy, detours, wait, verify, yes, *despite)
+        options = RequestOptions(system, strategy, detours, wait, verify, yes, *despite, with_other_nodes)
         return int(function(options=options, **arguments))
 
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
     summary = "Verify the plan with Alloy before it starts, and the running system after each step."
     verify = click.option("--verify", is_flag=True, help=summary)
     decorated = change_options.despite_options(verify(yes(with_options)))
-    decorated = change_options.strategy_options(change_options.wait_option(decorated))
+    decorated = change_options.with_other_nodes_option(change_options.wait_option(decorated))
+    decorated = change_options.strategy_options(decorated)
     return json_option(system_option(decorated))
 
 
@@ -247,6 +250,7 @@ def change(
     client, _ = find(options.system)
     request = asked(client) if callable(asked) else asked
     request = {**request, "strategy": options.strategy, "detours": options.detours}
+    request["with_other_nodes"] = options.with_other_nodes
     try:
         return _change(options, client, request, title, dry_run, file)
     except PlanRefused as error:

@@ -10,6 +10,7 @@ import click
 from rich.console import Console
 from rich.text import Text
 
+from midstride.cli.change_options import with_other_nodes_option
 from midstride.cli.changed_programs import other_overlay
 from midstride.cli.client import Client
 from midstride.cli.commands.up import backend_option, bring_up, manager_arguments, missing_lines, platform_options
@@ -32,10 +33,17 @@ from midstride.runtime.workspace import Workspace
 @click.argument("file", type=click.Path(path_type=Path))
 @backend_option("The platform, where the system is not running yet.")
 @platform_options(spares=1)
+@with_other_nodes_option
 @json_option
 @ended_by_signals()
 def dev_command(
-    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool, spares: int
+    file: Path,
+    backend: str,
+    use_sim_time: bool,
+    no_middleware_settings: bool,
+    no_diagnostics: bool,
+    spares: int,
+    with_other_nodes: bool,
 ) -> int:
     """Run the system of FILE, and on each save swap exactly the nodes that it changes, without losing a message.
 
@@ -57,7 +65,8 @@ def dev_command(
     elif use_sim_time or no_middleware_settings or no_diagnostics:
         screen.say(f"{workspace.name} is running already: --use-sim-time and --no-… have no effect")
     try:
-        session = DevSession(specification, client, Changes(client, str(file.resolve())).carry_out, screen)
+        changes = Changes(client, str(file.resolve()), with_other_nodes=with_other_nodes)
+        session = DevSession(specification, client, changes.carry_out, screen)
         session.look()
         for line in other_overlay(client.programs()):
             screen.say(line, "yellow")

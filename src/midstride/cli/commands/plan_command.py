@@ -14,7 +14,7 @@ from click.core import ParameterSource
 from rich.console import RenderableType
 
 from midstride.cli import render, render_comparison
-from midstride.cli.change_options import STRATEGIES, declared_parameters_option
+from midstride.cli.change_options import STRATEGIES, declared_parameters_option, with_other_nodes_option
 from midstride.cli.client import Client
 from midstride.cli.input_files import load, write
 from midstride.cli.output import console, json_option, print_json, wants_json
@@ -50,6 +50,7 @@ def _seconds(_context: click.Context, _parameter: click.Parameter, text: str | N
 @click.option("--within", metavar="SECONDS", callback=_seconds, help="How long to search for the proof of minimality.")
 @click.option("--html", "page", type=click.Path(path_type=Path), metavar="FILE", help="Write it as one HTML file, too.")
 @declared_parameters_option
+@with_other_nodes_option
 @system_option
 @json_option
 def plan_command(
@@ -60,13 +61,15 @@ def plan_command(
     within: float | None,
     page: Path | None,
     declared_parameters: bool,
+    with_other_nodes: bool,
     system: str | None,
     **options: Any,
 ) -> int:
     """Show the plan for a change of the system of FILE: its steps, what degrades and for how long.
 
     Without FILE, that for the running system, from its present state; nothing is changed. Only there can parameters
-    have been set at run time, so --declared-parameters needs it.
+    have been set at run time, so --declared-parameters needs it; and only there can it be known which other nodes would
+    end with a process, so --with-other-nodes needs it, too.
 
     The search for the proof that nothing degrades less ends after a fixed number of states, or with FILE after --within
     SECONDS or at Ctrl-C; then the plan says how much is lost at least.
@@ -86,12 +89,18 @@ def plan_command(
     described = planned_change(to, **options)
     if described["detours"] and described["strategy"] != "minimal":
         raise click.UsageError("--detours is for the strategy minimal alone")
-    if file is not None and (declared_parameters or system):
-        option = "--declared-parameters" if declared_parameters else "--system"
+    of_running = {
+        "--declared-parameters": declared_parameters,
+        "--with-other-nodes": with_other_nodes,
+        "--system": system,
+    }
+    if file is not None and any(of_running.values()):
+        option = next(name for name, given in of_running.items() if given)
         raise click.UsageError(f"{option} is for the running system: leave FILE out")
     if file is None and within is not None:
         raise click.UsageError("--within needs FILE: the manager of a running system does not search for long")
     asked: Document = {**described, "declared_parameters": declared_parameters, "explain": explain}
+    asked["with_other_nodes"] = with_other_nodes
     request = replace(decode_request(asked), to=None if to is None else load(to))
     if file is None:
         client, workspace = find(system)

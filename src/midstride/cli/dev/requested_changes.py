@@ -19,11 +19,13 @@ from midstride.runtime.records.reports import Event, Outcome
 class Changes:
     """Requests changes. A change that is being measured does not keep the next one waiting.
 
-    ``file`` is the one that specifications are read from.
+    ``file`` is the one that specifications are read from. With ``with_other_nodes``, nodes that end with a
+    process are meant.
     """
 
-    def __init__(self, client: Client, file: str) -> None:
+    def __init__(self, client: Client, file: str, *, with_other_nodes: bool = False) -> None:
         self._client = client
+        self._with_other_nodes = with_other_nodes
         self._file = file
         self._events: queue.Queue[Event | str] = queue.Queue()  # also the id of a request that was answered
         since = last_event_number(client)
@@ -47,7 +49,8 @@ class Changes:
 
         def send() -> None:
             try:
-                change = {"request": request, "brief": True, "id": id, "file": self._file, "by": "midstride dev"}
+                asked = {**request, "with_other_nodes": self._with_other_nodes}
+                change = {"request": asked, "brief": True, "id": id, "file": self._file, "by": "midstride dev"}
                 outcome = self._client.change(change)
                 answer.append(outcome)
                 if outcome.outcome == "done":

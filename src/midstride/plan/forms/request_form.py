@@ -45,6 +45,10 @@ class ChangeRequest(Form, frozen=True):
     declared_parameters: Annotated[
         bool, field("a boolean", "start with the declared values of parameters, not with those set at run time")
     ] = False
+    with_other_nodes: Annotated[
+        bool,
+        field("a boolean", "also where other nodes end with a process that the change ends: else it is refused"),
+    ] = False
     explain: Annotated[
         bool, field("a boolean", "for a plan that is only shown: what it would cost to keep what it degrades")
     ] = False
@@ -61,6 +65,7 @@ class ChangeRequest(Form, frozen=True):
             strategy=self.strategy,
             detours=self.detours,
             declared_parameters=self.declared_parameters,
+            with_other_nodes=self.with_other_nodes,
             explain=self.explain,
         )
 

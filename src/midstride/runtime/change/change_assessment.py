@@ -25,11 +25,13 @@ def change_assessment(
     at_outputs: Sequence[verdicts.Assessment],
     states: Mapping[str, LatestState],
     endpoints: Mapping[str, Sequence[Endpoint]],
+    ended: Sequence[verdicts.Assessment] = (),
 ) -> verdicts.Assessments:
     """Return what may be said of ``outcome``, after which ``now`` runs.
 
     ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show;
-    ``states``: what each component reported before the change; ``endpoints``: what it had besides its ports.
+    ``states``: what each component reported before the change; ``endpoints``: what it had besides its ports. ``ended``:
+    what has become of the nodes that have ended with an instance.
     """
     lowered = bool(outcome.below_baseline_seconds)
     return verdicts.assessed(
@@ -38,6 +40,7 @@ def change_assessment(
             *(each for each in at_outputs if each.verdict != "lost" or not lowered),
             *_exchanged(plan, outcome),
             *lost_endpoints(plan, states, endpoints, _together(plan, outcome)),
+            *ended,
             *_others(plan, now),
             *_started(plan, now),
         ]

@@ -43,6 +43,12 @@ from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.lost_endpoints import lost_endpoints
 from midstride.runtime.change.managed_nodes import require_unmanaged
+from midstride.runtime.change.other_nodes_losses import (
+    ending_nodes,
+    nodes_that_ended,
+    nodes_that_will_end,
+    would_end_others,
+)
 from midstride.runtime.change.parameter_transfer import ParameterTransfer, unread_parameters
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
@@ -58,6 +64,7 @@ from midstride.runtime.records.mode_recorder import ModeRecorder
 from midstride.runtime.records.reports import Outcome, StepTime, killed_processes
 from midstride.runtime.watch.degradation_report import remaining_degradations
 from midstride.runtime.watch.degradation_timer import DegradationTimer
+from midstride.runtime.watch.other_nodes import OtherNodesWatch
 from midstride.runtime.watch.output_tallies import OutputTallies
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verify.verdict import Verdict
@@ -102,9 +109,13 @@ class ChangeSession:
         self.events, self.store, self.commands = shared.events, shared.store, shared.commands
         self.monitor, self.clock = shared.monitor, self.backend.clock
         self.permission = ChangePermission(self.backend, self.events, self.store)
+        self.others = OtherNodesWatch(self.backend, self.system)
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
-        """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
+        """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused.
+
+        Also where nodes that are not meant would end with a process that the plan ends.
+        """
         system = self.system
         values = system.values.by_role(system.configuration)
         instances, nodes = system.configuration.instances.items(), system.specification.nodes
@@ -125,8 +136,18 @@ class ChangeSession:
             for old, latest in asked
         ]
         unknown = filter(None, unread)
-        besides = tuple(lost_endpoints(plan, system.life.latest_states, self._endpoints()))
+        others = ending_nodes(plan, self.others.look())
+        if not request.with_other_nodes and (refused := would_end_others(others)) is not None:
+            raise PlanRefused(refused)
+        besides = (
+            *lost_endpoints(plan, system.life.latest_states, self._endpoints()),
+            *nodes_that_will_end(plan, others),
+        )
         return replace(plan, remarks=(*remarks, *left, *unknown, *plan.remarks), besides=besides), target
+
+    def ends_others(self, plan: Plan) -> str | None:
+        """Why ``plan`` is refused, unless the other nodes that it ends are meant; None if there are none."""
+        return would_end_others(ending_nodes(plan, self.others.look()))
 
     async def change(
         self,
@@ -315,6 +336,7 @@ class ChangeSession:
         change.observers.append(tallies)
         # As they were known before their nodes end.
         states, endpoints = system.life.latest_states, self._endpoints()
+        self.launcher.ended_with.clear()
         driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
         execution = await self._execute(driver)
         fenced = system.life.fenced
@@ -357,8 +379,9 @@ class ChangeSession:
             remaining_degradations=remaining,
             verdict=change.verdict,
         )
+        ended = tuple(nodes_that_ended(change, self.launcher.ended_with, system.configuration, self.others.look()))
         continuity = change_assessment(
-            outcome, plan, system.configuration, list(silences.values()), at_outputs, states, endpoints
+            outcome, plan, system.configuration, list(silences.values()), at_outputs, states, endpoints, ended
         )
         said = f"{change.outcome}: {change.because}" if change.because else change.outcome
         self.events.add("outcome", "; ".join([said, *continuity.weakest]), outcome=change.outcome)

@@ -13,8 +13,6 @@ from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
 from midstride.wire.state import Endpoint
 
-_PUBLISHES = "publishes on "
-
 
 def lost_endpoints(
     plan: Plan,
@@ -54,6 +52,6 @@ def _of_foreign(
         yield verdicts.not_looked_at(state.instance)
     if state.serves:
         yield verdicts.ends_with(state.instance, state.serves, planned=together is None)
-    written = [words.removeprefix(_PUBLISHES).split()[0] for words in state.undeclared if words.startswith(_PUBLISHES)]
+    written = [each.topic for each in state.undeclared if each.output]
     if role is not None and (shared := [topic for topic in written if not topic.startswith(f"{state.node}/")]):
         yield verdicts.two_writers(role, shared, None if together is None else together.get(role))

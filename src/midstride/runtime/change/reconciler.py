@@ -143,6 +143,8 @@ class Reconciler:
         hint = "" if live is None else maybe_done(live.component, event)
         if hint:
             event = replace(event, because=f"{event.details}{hint}")
+        if (others := self.system.other_nodes.get(event.instance)) is not None and others.nodes:
+            event = replace(event, because=f"{event.details}; with it ended {others.in_words}")
         self.system.life.exited(event)
         self.events.add("exited", event.details, log=event.log_tail)
         change = self.commands.change

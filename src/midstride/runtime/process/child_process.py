@@ -197,6 +197,10 @@ class Process:
         group = [pid for pid, process in found.items() if process.group == self._group]
         return group, [pid for pid in found if pid not in group]
 
+    def family(self, all_processes: Iterable[reaper.ProcessInfo]) -> set[int]:
+        """The numbers of the process and of all that it has started; ``all_processes``: those of this machine."""
+        return {self.pid, *family.members(self._info, self.mark, self._known, all_processes)}
+
     def _signal(self, number: signal.Signals) -> None:
         if self._group == self.pid:
             reaper.signal_group(self._group, number)

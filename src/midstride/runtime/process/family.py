@@ -8,7 +8,7 @@ another for each start, which also an orphan has, and which a later manager can 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 from midstride.runtime.process import reaper
@@ -37,13 +37,18 @@ def _mark(process: ProcessInfo) -> str | None:
     return mark
 
 
-def members(leader: ProcessInfo, mark: str | None, known: Mapping[int, float]) -> dict[int, ProcessInfo]:
+def members(
+    leader: ProcessInfo,
+    mark: str | None,
+    known: Mapping[int, float],
+    all_processes: Iterable[ProcessInfo] | None = None,
+) -> dict[int, ProcessInfo]:
     """The living processes that belong to ``leader``, itself included, by number.
 
     ``mark``: that of its start (:func:`mark_of`). ``known``: those that belonged to it before, number and start, as a
-    chain of parents breaks when one of them exits.
+    chain of parents breaks when one of them exits. ``all_processes``: those of this machine, where they are known.
     """
-    found = {process.pid: process for process in reaper.processes()}
+    found = {process.pid: process for process in (reaper.processes() if all_processes is None else all_processes)}
     for key in [key for key in _marks if (seen := found.get(key[0])) is None or seen.started != key[1]]:
         del _marks[key]
     belonging: dict[int, ProcessInfo] = {}

@@ -30,7 +30,7 @@ from midstride.model.component import (
     StopTimes,
 )
 from midstride.model.configuration import Instance
-from midstride.runtime.backend_protocol import Backend, Exited, Handle, RemainingProcess
+from midstride.runtime.backend_protocol import Backend, Exited, Handle, OtherNodes, RemainingProcess
 from midstride.runtime.instance_life import STOPPED, ProcessEvent
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
@@ -95,6 +95,10 @@ class Launcher:
         # Called with an instance whose end was cut short (a process had to be killed, or its `on_stop` has failed), the
         # seconds that it had, and words.
         self.on_killed: Callable[[str, float, str], object] | None = None
+        # Called with an instance that is about to be ended, and the other nodes that end with it.
+        self.on_ending: Callable[[str, OtherNodes], object] | None = None
+        # By instance that was ended since this was cleared last: which nodes ended with it.
+        self.ended_with: dict[str, OtherNodes] = {}
 
     def exited(self, event: Exited) -> bool:
         """A process has exited: if its registration is awaited, the start fails.
@@ -406,6 +410,7 @@ class Launcher:
 
     async def _end(self, name: str, stop: StopTimes) -> None:
         self._client.forget_revision(name)
+        self._note_others(name)
         handle = self._life[name].handle
         self._life.record(name, ProcessEvent.END_BEGUN)
         try:
@@ -422,6 +427,17 @@ class Launcher:
             words = killed_in_words(name, None if handle is None else handle.pid, process)
             if self.on_killed is not None:
                 self.on_killed(name, process.seconds, words)
+
+    def _note_others(self, name: str) -> None:
+        """Ask once more which nodes end with it: others may have been loaded into its process a moment ago."""
+        try:
+            others = self._backend.other_nodes([name]).get(name)
+        except BackendError:
+            return
+        if others is not None:
+            self.ended_with[name] = others
+            if others.nodes and self.on_ending is not None:
+                self.on_ending(name, others)
 
     async def release(self, name: str) -> None:
         """Release a component that was started by hand: degraded and unattached, it waits for the next manager.

@@ -138,6 +138,15 @@ class ParametersReport(Report, frozen=True):
     parameters: list[ParameterStatus]
 
 
+class OtherNodeStatus(Report, frozen=True):
+    """A ROS node that ends with an instance, since it is in its process, or in one that this has started."""
+
+    name: Annotated[str, Meta(description="its full name")]
+    publishes: Annotated[list[str], Meta(description="topics")] = []
+    serves: Annotated[list[str], Meta(description="services and ROS actions, in words")] = []
+    namesake: Annotated[bool, Meta(description="it has the name of the program's own node")] = False
+
+
 class InstanceStatus(Report, frozen=True, kw_only=True):
     """An instance, as it last reported itself."""
 
@@ -156,6 +165,8 @@ class InstanceStatus(Report, frozen=True, kw_only=True):
     as_modelled: Annotated[bool, Meta(description="its modes are those of the manager's model")]
     differences: Annotated[list[str], Meta(description="in which way its node is not what is declared")]
     undeclared: Annotated[list[str], Meta(description="the topics of its node that are no ports: they have no gate")]
+    other_nodes: Annotated[list[OtherNodeStatus], Meta(description="that end with it, besides its own")] = []
+    other_nodes_unknown: Annotated[str | None, Meta(description="why some of them may not be known")] = None
     deviation: Annotated[str | None, Meta(description="in which way it is not as specified, in words; null: it is")]
     simulated_time: Annotated[bool, Meta(description="/clock drives its ROS clock")]
     run: Annotated[str | None, Meta(description="the command it was started with; null: it was started elsewhere")]

@@ -121,6 +121,11 @@ class BringUp:
         reach = self.session.backend.reach()
         origin = (system.file, system.changed_since)
         self.store.begin(self.backend, self.client.token, running, self.options, *origin, reach)
+        if (refused := self.session.ends_others(plan)) is not None:  # they are not meant: no command has asked
+            if specification != running:
+                raise PlanRefused(refused)
+            self.events.add("note", f"what an earlier manager has left half done stays as it is: {refused}")
+            return {}
         if plan.steps or specification != running:
             begun = await self.session.begin(plan, specification, "up", is_new=is_new, partial=partial, required=False)
             outcome = await self.session.carry_out(begun)

@@ -15,6 +15,7 @@ from msgspec import UNSET, structs
 from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.graph_names import resolved
+from midstride.runtime.backend_protocol import OtherNodes
 from midstride.runtime.process.registration import REPORTED
 from midstride.runtime.records.mode_recorder import SAME_MODE
 from midstride.runtime.records.status_forms import (
@@ -22,6 +23,7 @@ from midstride.runtime.records.status_forms import (
     FieldStatus,
     FunctionalityStatus,
     InstanceStatus,
+    OtherNodeStatus,
     ParameterStatus,
     PortStatus,
 )
@@ -29,6 +31,7 @@ from midstride.runtime.view.rounded_measurements import Measurements, differ_not
 from midstride.runtime.view.watched_system import Baseline, WatchedSystem
 from midstride.wire.state import THIS_HOST, ComponentState, Endpoint, FunctionalityState, LinkState
 
+_NO_OTHERS: Final = OtherNodes()
 _NO_LINKS: Final[dict[str, LinkState]] = {}
 
 
@@ -99,6 +102,7 @@ def instance_status(
     latest = watched.system.life.latest(instance.name)
     state = watched.system.life.responsive(instance.name)
     handle = watched.system.life[instance.name].handle
+    others = watched.system.other_nodes.get(instance.name, _NO_OTHERS)
     process = state or handle
     reported = now if latest is None else now - (watched.clock.steady() - latest.at)
     modes = list(_functionalities(watched, configuration, shape, state, reported, shown, exact))
@@ -117,7 +121,11 @@ def instance_status(
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in modes),
         differences=[] if state is None else state.differences,
-        undeclared=[] if state is None else state.undeclared,
+        undeclared=[] if state is None else [each.words for each in state.undeclared],
+        other_nodes=[
+            OtherNodeStatus(each.name, [*each.publishes], [*each.serves], each.namesake) for each in others.nodes
+        ],
+        other_nodes_unknown=others.unknown,
         deviation="; ".join(_deviations(instance, state, modes, ports, baseline)) or None,
         simulated_time=state is not None and state.simulated_time,
         run=instance.component.run,

@@ -1,7 +1,7 @@
 """Observation of the running system: silences, degradations, and what the subscribers of a topic receive."""
 
 PUBLIC = (
-    "DegradationTimer DiscoveryWatch OutputTallies Recording ReportedValues SilenceMonitor changed_attachments "
-    "degradations_in_words differs observe own_degradations own_degradations_in remaining_degradations reported_modes "
-    "stretch_of unsupported_modes with_attachments"
+    "DegradationTimer DiscoveryWatch OtherNodesWatch OutputTallies Recording ReportedValues SilenceMonitor "
+    "changed_attachments degradations_in_words differs observe own_degradations own_degradations_in "
+    "remaining_degradations reported_modes stretch_of unsupported_modes with_attachments"
 )

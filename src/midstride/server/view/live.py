@@ -19,6 +19,7 @@ from msgspec import UNSET, structs
 from midstride.codec.writing import to_json
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
+from midstride.runtime.backend_protocol import OtherNodes
 from midstride.runtime.process.component_client import ComponentEvent
 from midstride.runtime.records.events import Wakers
 from midstride.runtime.records.reports import Event
@@ -62,6 +63,7 @@ class LiveView:
         self._shapes: dict[str, EntryShape] = {}
         self._shown: dict[str, InstanceStatus] = {}
         self._reported: dict[str, ComponentState] = {}  # what the entries were built from
+        self._others: dict[str, OtherNodes] = {}  # the other nodes of their processes, as of the last look
         self._unsound: set[str] = set()  # the components that are not as modelled
         self._dirty: set[str] = set()  # to be built
         self._measured: set[str] = set()  # those of which only measurements may have changed
@@ -147,8 +149,10 @@ class LiveView:
         """Find what no report shows."""
         life = self._watched.system.life
         silent = {name for name, each in self._shown.items() if each.reachable != (life.responsive(name) is not None)}
-        if silent or self._wakers:
-            self._dirty |= silent
+        others, self._others = self._others, self._watched.system.other_nodes
+        moved = {name for name in self._shown if others.get(name) != self._others.get(name)}
+        if silent or moved or self._wakers:
+            self._dirty |= silent | moved
             self._silences = None
             self.refresh(measurements=bool(self._wakers))
         self._looking.at(self._watched.clock.steady() + LOOK)

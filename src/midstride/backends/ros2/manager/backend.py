@@ -31,7 +31,7 @@ from midstride.backends.common import on_new_thread
 from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, names
 from midstride.backends.ros2.component.early_join import hidden_node
-from midstride.backends.ros2.manager import launching
+from midstride.backends.ros2.manager import launching, process_nodes
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_services import RosNodeServices
@@ -51,6 +51,7 @@ from midstride.runtime.backend_protocol import (
     Exited,
     Handle,
     Launch,
+    OtherNodes,
     RemainingProcess,
 )
 from midstride.runtime.process.child_process import Process
@@ -73,6 +74,7 @@ class Ros2Backend(ProcessBackend, Backend):
     """``middleware_settings``: whether processes get Midstride's transports and discovery (:mod:`..dds_profiles`)."""
 
     name = "ros2"
+    shares_processes = True
 
     def __init__(
         self,
@@ -310,6 +312,12 @@ class Ros2Backend(ProcessBackend, Backend):
 
     async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         return self._joined().endpoints(topics)
+
+    def other_nodes(self, instances: Collection[str]) -> dict[str, OtherNodes]:
+        asked = self._foreign_nodes.processes(name for name in sorted(instances) if name in self._processes)
+        if self._context is None or not asked:
+            return {}
+        return process_nodes.other_nodes(self._graph, asked, self.families)
 
     @asynccontextmanager
     async def probe(self) -> AsyncIterator[str | None]:

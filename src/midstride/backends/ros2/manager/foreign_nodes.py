@@ -7,7 +7,7 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace as replaced
 from functools import partial
@@ -20,6 +20,7 @@ from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
 from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, parameters_text, write_parameters
+from midstride.backends.ros2.manager.process_nodes import AskedProcess
 from midstride.backends.ros2.names import system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
@@ -258,6 +259,19 @@ class ForeignNodes:
 
     def _node_name(self, instance: str, namespace: str) -> str:
         return self.node_of(instance) or full_name(instance, namespace)
+
+    def processes(self, instances: Iterable[str]) -> list[AskedProcess]:
+        """How the nodes of the process of each instance are found."""
+        return [self._process(instance) for instance in instances]
+
+    def _process(self, instance: str) -> AskedProcess:
+        if (node := self._relayed.get(instance)) is not None:
+            return AskedProcess(instance, node, programs=2)
+        if (agent := self._agents.get(instance)) is None:
+            return AskedProcess(instance)
+        record = agent.node.record
+        listed = None if record.index is None or self._page is None else self._page.ros_nodes(record.index)
+        return AskedProcess(instance, record.node, listed)
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""

@@ -20,10 +20,11 @@ from rclpy.node import NodeNameNonExistentError
 
 from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import port_endpoints
-from midstride.backends.ros2.middleware import RmwImplementation
+from midstride.backends.ros2.middleware import NodeProcess, RmwImplementation
 from midstride.backends.ros2.names import InstanceNode
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.lifecycle_managers import LifecycleManager
+from midstride.model.graph_names import is_infrastructure
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Endpoints
 
@@ -43,7 +44,7 @@ class Graph:
 
     def __init__(self, node: Any, rmw: RmwImplementation | None = None) -> None:
         self._node = node
-        self._rmw = middleware.of_this_process() if rmw is None else rmw
+        self.rmw = middleware.of_this_process() if rmw is None else rmw
         self._died: dict[str, float] = {}
         self._dead_endpoints: dict[bytes, float] = {}
         self._known: _Instances = {}
@@ -60,12 +61,12 @@ class Graph:
     def ignore(self, full_name: str) -> None:
         """Ignore what the graph shows under a name now, and nothing that appears there later."""
         now = time.monotonic()
-        self._dead_endpoints = {gid: at for gid, at in self._dead_endpoints.items() if now - at < self._rmw.linger}
+        self._dead_endpoints = {gid: at for gid, at in self._dead_endpoints.items() if now - at < self.rmw.linger}
         self._dead_endpoints.update((_gid(info), now) for info in self._under(full_name))
 
     def _lives(self, info: Any, name: str) -> bool:
         died = self._died.get(name)
-        return (died is None or time.monotonic() - died > self._rmw.linger) and _gid(info) not in self._dead_endpoints
+        return (died is None or time.monotonic() - died > self.rmw.linger) and _gid(info) not in self._dead_endpoints
 
     def has(self, full_name: str) -> bool:
         """Whether a living instance, or a foreign node, of that name is in the graph."""
@@ -78,7 +79,7 @@ class Graph:
     def of_name(self, node: str) -> set[InstanceNode | None]:
         """The living instances whose node has that name; None among them is a foreign node."""
         listed = self._node_names().count(node)
-        if self._rmw.participant is None:  # counted: an instance has one node of that name, and a control node
+        if self.rmw.participant is None:  # counted: an instance has one node of that name, and a control node
             own = [(info, found) for info, found in self._controls() if found.node == node]
             alive = {found for info, found in own if self._lives(info, found.instance)}
             return {*alive, *([None] if listed > len({found for _, found in own}) else [])}
@@ -121,6 +122,21 @@ class Graph:
             for output, topic, info in self._of_node(node)
             if self._lives(info, node) and self._process(info) not in instances
         ]
+
+    def processes(self) -> list[tuple[str, NodeProcess]]:
+        """Every node that the graph shows, by its full name, with its process; none where the middleware names none.
+
+        Each ROS node has a publisher of its own on ``/parameter_events``, unless its program has chosen otherwise.
+        """
+        found = [(_node(info), self.rmw.node_process(info)) for info in self._publishers(names.PARAMETER_EVENTS)]
+        seen = {node for node, _ in found}
+        for node in sorted(set(self._node_names()) - seen):
+            found += dict.fromkeys((node, self.rmw.node_process(info)) for _, _, info in self._of_node(node))
+        return [(node, process) for node, process in found if process is not None]
+
+    def published_by(self, node: str) -> list[str]:
+        """The topics that a node publishes on, without those of every node."""
+        return sorted(topic for topic in self._topics_of(node, True) if not is_infrastructure(topic, output=True))
 
     def served_by(self, node: str) -> Served:
         """The services and ROS actions of a node that others may rely on, and whether it is a lifecycle node."""
@@ -214,7 +230,7 @@ class Graph:
 
     def _process(self, info: Any) -> bytes | str:
         """Which process an endpoint belongs to; where that is unknown, the name of its node."""
-        return self._rmw.process_of(info) or _node(info)
+        return self.rmw.process_of(info) or _node(info)
 
     def _name(self, info: Any, instances: _Instances) -> str:
         """The name that an endpoint is shown under: of its instance, else of its node."""
@@ -224,12 +240,12 @@ class Graph:
 
     def _instances_of(self, processes: Iterable[bytes | str]) -> _Instances:
         """The instances of these processes, if they have any. Which one a process is never changes."""
-        if self._rmw.participant is None or not self._known.keys() >= set(processes):
+        if self.rmw.participant is None or not self._known.keys() >= set(processes):
             self._known = self._instances()
         return self._known
 
     def _instances(self) -> _Instances:
-        if self._rmw.participant is not None:
+        if self.rmw.participant is not None:
             return {self._process(info): found for info, found in self._controls()}
         listed = Counter(self._node_names())
         return {found.node: found if listed[found.node] == 1 else None for _, found in self._controls()}

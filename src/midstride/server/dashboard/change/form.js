@@ -44,6 +44,7 @@ export class Form {
     this.strategy = select("Strategy", "strategy");
     this.detours = check("detours", "detours", "Also try to move nodes that stay, and stand-ins: --detours");
     this.declared = check("declared", "declared parameters", "Start with the declared values of parameters: --declared-parameters");
+    this.others = check("others", "other nodes", "Also where other nodes end with a process that the change ends: --with-other-nodes");
     this.verify = check("verify", "verify", "Verify the plan with Alloy before it starts, and the system after each step: --verify");
     this.with = h("span", {});
     this.added = new NewNodeFields(onChoice);
@@ -70,7 +71,7 @@ export class Form {
       this.applying,
       this.strategyWord,
       this.strategy,
-      h("div", { class: "change-options wide" }, this.detours.label, this.declared.label, this.verify.label),
+      h("div", { class: "change-options wide" }, this.detours.label, this.declared.label, this.others.label, this.verify.label),
     );
     this.file = /** @type {HTMLInputElement} */ (h("input", { class: "visually-hidden", type: "file", accept: ".stride" }));
     this.drop = h("p", { class: "drop" }, "or drop an edited .stride file on the page, or ", h("label", {}, this.file, h("span", {}, "choose one")));
@@ -109,13 +110,14 @@ export class Form {
     show(adding, this.added.role, this.added.fields);
     show(kind === "rollback", this.version);
     show(kind === "param", this.parameter, this.value);
-    show(kind !== "param", this.strategyWord, this.strategy, this.detours.label, this.verify.label, this.declared.label);
+    show(kind !== "param", this.strategyWord, this.strategy, this.detours.label, this.others.label, this.verify.label, this.declared.label);
     show(kind === "apply", this.applying);
     replace(this.applying, "Apply ", h("strong", {}, choice.file ?? "a specification"), " ", this.clear);
     this.detours.box.checked = choice.detours;
     this.detours.box.disabled = choice.strategy !== "minimal";
     this.declared.box.checked = choice.declared;
     this.declared.box.disabled = !keepsParameters(choice);
+    this.others.box.checked = choice.others;
     this.verify.box.checked = choice.verify;
     const fields = adding ? this.added.offer(specification, component) : {};
     const others = { replace: { component }, add: { component, ...fields }, rollback: { version }, param: { parameter: parameter?.name ?? "" } };

@@ -11,7 +11,7 @@
  * @typedef {"replace" | "restart" | "add" | "remove" | "rollback" | "param" | "apply"} Kind
  * @typedef {{kind: Kind, node: string, component: string, role: string, topics: Record<string, string>,
  *   values: Record<string, string>, version: number | null, parameter: string, value: string, to: Api.SpecificationForm | null,
- *   file: string | null, strategy: string, detours: boolean, declared: boolean, verify: boolean}} Choice
+ *   file: string | null, strategy: string, detours: boolean, declared: boolean, others: boolean, verify: boolean}} Choice
  */
 
 import { valueText } from "../dom.js";
@@ -34,6 +34,7 @@ export const NOTHING = {
   strategy: "minimal",
   detours: false,
   declared: false,
+  others: false,
   verify: false,
 };
 
@@ -68,6 +69,7 @@ export function request(choice) {
   const document = { strategy: choice.strategy };
   if (choice.detours && choice.strategy === "minimal") document.detours = true;
   if (choice.declared && keepsParameters(choice)) document.declared_parameters = true;
+  if (choice.others) document.with_other_nodes = true;
   if (choice.kind === "replace") document.replace = [[choice.node, choice.component]];
   else if (choice.kind === "add") document.add = [newNode(choice)];
   else if (choice.kind === "apply" || choice.kind === "rollback") document.to = choice.to;
@@ -142,6 +144,7 @@ function options(choice) {
   const found = choice.strategy === "minimal" ? [] : ["--strategy", choice.strategy];
   if (choice.detours && choice.strategy === "minimal") found.push("--detours");
   if (choice.declared && keepsParameters(choice)) found.push("--declared-parameters");
+  if (choice.others) found.push("--with-other-nodes");
   return found;
 }
 
@@ -172,7 +175,7 @@ export function planCommand(choice, more = []) {
 
 /** @param {Choice} choice @param {string} file @param {number} seeds @returns {string} the command that rehearses it */
 export function rehearsalCommand(choice, file, seeds) {
-  const plan = planCommand(choice).split(" ").slice(2).join(" ");
+  const plan = planCommand({ ...choice, others: false }).split(" ").slice(2).join(" ");
   return `midstride simulate ${quoted(file)} ${plan} --seeds ${seeds}`;
 }
 

@@ -115,6 +115,8 @@ function newComponent(create, view) {
     as_modelled: true,
     differences: [],
     undeclared: [],
+    other_nodes: [],
+    other_nodes_unknown: null,
     deviation: null,
     simulated_time: false,
     run: null,

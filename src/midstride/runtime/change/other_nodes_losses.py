@@ -1,0 +1,81 @@
+"""The nodes that end with a process that a change ends, although it names only one of that process's nodes.
+
+As a container does with the components that others have loaded into it. Such a change is refused unless they are meant
+too, and then its plan and its report say what becomes of each of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from midstride import verdicts
+from midstride.model.action import Create, Remove
+from midstride.model.configuration import Configuration
+from midstride.plan.plan import Plan
+from midstride.runtime.backend_protocol import OtherNode, OtherNodes
+from midstride.runtime.change.running_change import RunningChange
+
+# How to say on the command line, and in a request of the API, that they are meant too.
+OPTION = "--with-other-nodes"
+FIELD = "with_other_nodes"
+
+
+def ending_nodes(plan: Plan, others: Mapping[str, OtherNodes]) -> dict[str, OtherNodes]:
+    """The other nodes of each instance that ``plan`` ends, of those that have any; ``others``: of all that run."""
+    ended = (step.action.instance for step in plan.steps if isinstance(step.action, Remove))
+    return {name: others[name] for name in ended if name in others}
+
+
+def would_end_others(ending: Mapping[str, OtherNodes]) -> str | None:
+    """Why a plan that ends these is refused, unless they are meant too; None where no other node is known to end."""
+    found = [f"{', '.join(each.names)} with {name}" for name, each in sorted(ending.items()) if each.nodes]
+    if not found:
+        return None
+    many = sum(len(each.nodes) for each in ending.values()) > 1
+    return (
+        f"the change would also end {'other nodes' if many else 'another node'} of the same process: "
+        f"{'; '.join(found)}. If {'they are' if many else 'it is'} meant too, pass `{OPTION}` "
+        f'(`"{FIELD}": true` in a request)'
+    )
+
+
+def nodes_that_will_end(plan: Plan, ending: Mapping[str, OtherNodes]) -> Iterator[verdicts.Assessment]:
+    """What ``plan`` is expected to do to the nodes that end with an instance."""
+    for name, others in sorted(ending.items()):
+        successor = plan.change.replaced.get(name)
+        for node in others.nodes:
+            yield verdicts.will_end_with(node.name, node.words, name, replaced=successor is not None)
+        if others.unknown is not None:
+            yield verdicts.unknown_others(name, others.unknown)
+
+
+def nodes_that_ended(
+    change: RunningChange, ended: Mapping[str, OtherNodes], now: Configuration, others: Mapping[str, OtherNodes]
+) -> Iterator[verdicts.Assessment]:
+    """What has become of the nodes that have ``ended`` with an instance while ``change`` was carried out.
+
+    Also with one that it had started itself, and ended in its roll-back. ``others``: the other nodes of all that run.
+    """
+    created = {action.instance.name: action.instance for action in change.actions if isinstance(action, Create)}
+    for name, gone in sorted(ended.items()):
+        instance = change.before.instances.get(name) or created.get(name)
+        runs = [] if instance is None else [each.name for each in now.instances_of(instance.role)]
+        back = [(node, each) for each in runs if each in others for node in others[each].nodes]
+        for node in gone.nodes:
+            found = next((pair for pair in back if _is_same(node, pair[0])), None)
+            if found is not None:
+                back.remove(found)
+            yield verdicts.ended_with(
+                node.name,
+                node.words,
+                name,
+                again=None if found is None else found[1],
+                planned=change.outcome == "done" or name in created,
+            )
+        if gone.unknown is not None:
+            yield verdicts.unknown_others(name, gone.unknown)
+
+
+def _is_same(node: OtherNode, other: OtherNode) -> bool:
+    """Whether ``other`` is the node that the new instance has in the place of ``node``."""
+    return other.namesake if node.namesake else node.name == other.name
