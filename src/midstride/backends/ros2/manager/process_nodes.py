@@ -94,10 +94,20 @@ def _own(asked: AskedProcess, shown: Iterable[tuple[str, NodeProcess]]) -> _Foun
 def _match_pids(
     found: _Found, visible: Iterable[tuple[str, NodeProcess]], pids: Iterable[int], hosts: set[bytes | None]
 ) -> None:
-    """Take the processes of these numbers, and leave out one that only has a node of the same name elsewhere."""
+    """Take the processes of these numbers, and leave out one that only has a node of the same name elsewhere.
+
+    A number is not whole, so where one of a process with its own node is known, no other process is taken for it.
+    """
     low = {pid % PIDS for pid in pids}
+    known = {(process.host, process.pid): process.key for process in found.processes.values()}
     own_hosts = {process.host for process in found.processes.values()} or hosts
-    matching = {process.key: process for _, process in visible if process.pid in low and process.host in own_hosts}
+    matching = {
+        process.key: process
+        for _, process in visible
+        if process.pid in low
+        and process.host in own_hosts
+        and known.get((process.host, process.pid), process.key) == process.key
+    }
     if matching:
         found.processes = {
             **{key: process for key, process in found.processes.items() if process.host not in _hosts(matching)},
