@@ -224,6 +224,8 @@ class Launcher:
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
                 ended = self._life[name].exit if self._life.has_exited(name) else None
                 hint = "" if ended is None else maybe_done(instance.component, ended)
+                if ended is not None and wording.exception_in(ended.log_tail) is not None:
+                    raise StartFailed(_describe_exit(ended, "before it was accepted")) from error
                 raise StartFailed(f"{name} registered but could not be accepted: {error}{hint}") from error
             raise
         finally:
