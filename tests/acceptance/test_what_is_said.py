@@ -13,7 +13,7 @@ import os
 import signal
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -230,8 +230,14 @@ def test_a_failed_activation_loses_as_much_as_the_recorder_hears_and_a_stopped_n
                 await recorder.bare.until(lambda: recorder.heard[-1][0] < time.monotonic() - 1.0, 10)
                 condition = (await manager.status()).condition
                 assert condition.state == "degraded" and "is stopped (SIGSTOP)" in condition.headline
+                # It is killed when it is replaced: it could be continued at any time, and would write beside the other.
+                task = asyncio.ensure_future(manager.change(PlanRequest(restart=("life",))))
+                await recorder.bare.until(task.done, 60)
+                assert (task.result().outcome, [each.how for each in task.result().fenced]) == ("done", ["killed"])
+                await recorder.hears()
             finally:
-                os.kill(instance.pid, signal.SIGCONT)
+                with suppress(ProcessLookupError):
+                    os.kill(instance.pid, signal.SIGCONT)
 
     with ended():
         run(scenario())

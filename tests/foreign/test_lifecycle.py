@@ -56,7 +56,7 @@ def test_the_old_one_is_deactivated_before_the_new_one_is_activated(tmp_path: Pa
         old = simulator.nodes["talker"]
         old.values |= {"word": "bye", "own": 2.5}
         outcome = await manager.change(REPLACE)
-        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert (outcome.outcome, outcome.because, outcome.own_state) == ("done", None, {})
         assert simulator.events == [
             "talker_2 configure",
             "talker deactivate",

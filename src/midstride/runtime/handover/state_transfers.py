@@ -113,7 +113,8 @@ class StateTransfers:
 
     def ended(self, cut: Cut, incoming: CutResult) -> None:
         """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period."""
-        if incoming.because is not None and (cut.state is None or not cut.state.order_only):
+        ordered = cut.state is not None and cut.state.order_only
+        if incoming.because is not None and not ordered and not cut.arbiter.exchange:  # that one has no state to move
             self.note_own_state(cut.old, cut.new, incoming.because)
         written = [write.source for write in incoming.first.values() if write is not None and write.source is not None]
         if cut.state is None or cut.trigger != "rate" or not cut.period or not written:

@@ -24,6 +24,8 @@ from midstride.model.instance_names import full_name
 EVERY: Final = 0.5
 # How long nodes that are expected may take to appear (s).
 PATIENCE: Final = 10.0
+# A node that has shown no topic for so long since it appeared (s) is not waited for any more: it may have none.
+WITHOUT_TOPICS: Final = 2.0
 # How long a publisher that exists only while something subscribes may take to go (s).
 LEAVES: Final = 1.5
 _DEPTH: Final = 1000
@@ -49,15 +51,18 @@ def observe(
     graph = ObservedGraph()
     subscribed: set[str] = set()
     begun = start = looked = time.monotonic()
-    missing = set(nodes)
+    missing, appeared = set(nodes), dict[str, float]()
     try:
         while (now := time.monotonic()) - start < seconds and not done(graph):
             missing.difference_update(graph.nodes() if missing else ())
+            missing -= {name for name, at in appeared.items() if now - at >= WITHOUT_TOPICS}
             if missing and now - begun < PATIENCE:
                 start = now
             if now >= looked:
                 looked = now + EVERY
                 _look(node, graph, subscribed)
+                for name in (full_name(*found) for found in node.get_node_names_and_namespaces()):
+                    appeared.setdefault(name, now)
                 graph.seconds = now - start
             executor.spin_once(timeout_sec=0.05)
         _look(node, graph, subscribed)
