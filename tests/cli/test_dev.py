@@ -172,7 +172,8 @@ def test_what_changed_outside_before_it_attached_is_named_and_swapped_and_anothe
         answers = staticmethod(lambda: True)
         specification = staticmethod(lambda: robot.runs)
 
-        def __init__(self, *_: object) -> None:
+        def __init__(self, *_: object, with_other_nodes: bool = False) -> None:
+            assert not with_other_nodes
             self.carry_out = robot.carry_out  # instead of the requests of `Changes`
 
         def programs(self) -> list[ProgramStatus]:

@@ -13,7 +13,7 @@ from midstride.runtime.change.lost_endpoints import lost_endpoints
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.manager import Manager
 from midstride.verdicts import Assessments
-from midstride.wire.state import ComponentState, Endpoint
+from midstride.wire.state import ComponentState, Endpoint, UndeclaredTopic
 from tests.runtime.systems import managed
 
 GOALS = [
@@ -67,7 +67,10 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked(tmp_
         found = said(
             serves=["service /save"],
             calls=["ROS action /pick"],
-            undeclared=["publishes on /diag (x)", "publishes on /talker/own (x)", "subscribes to /scan (x)"],
+            undeclared=[
+                UndeclaredTopic(output=output, topic=topic, type="x")
+                for output, topic in ((True, "/diag"), (True, "/talker/own"), (False, "/scan"))
+            ],
         )
         assert [words.partition(":")[0] for words in found] == [
             "requests and goals of others",

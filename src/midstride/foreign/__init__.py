@@ -3,5 +3,5 @@
 PUBLIC = (
     "ForeignAgent ForeignRecord GATES_FOLDER Gates GraphEndpoint KILLED LifecycleManager LifecycleManagers "
     "LifecyclePeers NoAnswer NodeServices OUTPUT PAGE Page PagePort PortFlag RelayOrder RelayPlatform ReportedStates "
-    "Served build differing endpoints_seconds order_file private_topics run_relay typed"
+    "SETTLED Served build differing endpoints_seconds order_file private_topics run_relay typed"
 )

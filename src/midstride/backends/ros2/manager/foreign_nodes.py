@@ -26,7 +26,7 @@ from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
-from midstride.foreign.gated_agent import ForeignAgent
+from midstride.foreign.gated_agent import SETTLED, ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint, Served, endpoints_seconds
 from midstride.foreign.lifecycle_managers import LifecycleManagers
@@ -236,15 +236,22 @@ class ForeignNodes:
         task.add_done_callback(lambda _: self._finding.pop(record.instance, None))
 
     async def _find(self, record: ForeignRecord) -> None:
-        """Wait until the graph shows the node, and answer for it; one without a node is answered for all the same."""
+        """Wait until the graph shows the node, and answer for it; one without a node is answered for all the same.
+
+        The name is that which it was passed, or has had before; other nodes of its process may show earlier.
+        """
         enclave, found = enclave_of(system_tag(record.token), record.instance), list[str]()
+        expected = self._own_names.known(record.role) if record.unnamed else record.node
         deadline = time.monotonic() + endpoints_seconds(record.declaration.declared())
-        while not found and time.monotonic() < deadline:
+        while time.monotonic() < deadline and (not found or (expected and expected not in found)):
             await asyncio.sleep(_LOOK)
-            found = [name for name in self._nodes_in(enclave) if "/_" not in name]
+            before, found = found, [name for name in self._nodes_in(enclave) if "/_" not in name]
+            if found and not before:  # a program that names its node otherwise by now shows that soon
+                deadline = min(deadline, time.monotonic() + SETTLED)
         try:
             if found:  # of several, a further one is often in a namespace of the first
-                node = min(found, key=lambda name: (name.count("/"), len(name), name))
+                first = min(found, key=lambda name: (name.count("/"), len(name), name))
+                node = expected if expected in found else first
                 if record.unnamed:
                     self._own_names.note(record.role, node)
                 record = replace(record, node=node)

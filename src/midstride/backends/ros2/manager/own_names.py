@@ -55,6 +55,10 @@ class OwnNames:
                 self._names = {}
         return self._names
 
+    def known(self, role: str) -> str:
+        """The name that its program has given its node so far; empty where none is known."""
+        return self._read().get(role, "")
+
     def note(self, role: str, name: str) -> None:
         """Raises BackendError."""
         if (names := self._read()).get(role) == name:
@@ -78,7 +82,7 @@ class OwnNames:
                 names = (f"{launch.role}_{number}" for number in count(2))
                 name = next(each for each in names if not runs(full_name(each, launch.namespace)))
             return StartName(full_name(name, launch.namespace))
-        own = self._read().get(launch.role, "")
+        own = self.known(launch.role)
         if not own or not runs(own):
             return StartName(own, passed=False)
         number = launch.instance.removeprefix(launch.role)
