@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from midstride.lang.load import load
-from tests.acceptance.foreign_support import Robot, declared_talker, robot, talkers
+from tests.acceptance.foreign_support import OURS, Robot, declared_talker, robot, talkers
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 
@@ -183,18 +183,25 @@ def test_a_node_that_is_not_what_was_declared_is_not_let_in(tmp_path: Path) -> N
         run(scenario())
 
 
-def test_a_node_at_half_its_rate_is_not_let_in_by_default(tmp_path: Path) -> None:
-    talkers(tmp_path)
+def test_a_node_or_a_component_below_its_rate_is_not_let_in_by_default(tmp_path: Path) -> None:
+    """A node at half its rate, and code with the API that writes in each third of its calls."""
+    talkers(tmp_path, timing="timing { probation_timeout 2 s }")
     (tmp_path / "faulty.py").write_text(FAULTY, encoding="utf-8")
-    half = declared_talker("Half", "python3 faulty.py half", "preload")
+    third = OURS.replace("    out.write", "    if count % 3 == 0:\n        out.write")
+    assert third != OURS
+    (tmp_path / "third.py").write_text(third, encoding="utf-8")
+    slow = declared_talker("Half", "python3 faulty.py half", "preload") + declared_talker("Third", "python3 third.py")
     path = tmp_path / "swaps.stride"
-    path.write_text(path.read_text(encoding="utf-8") + half, encoding="utf-8")
+    path.write_text(path.read_text(encoding="utf-8") + slow, encoding="utf-8")
 
     async def scenario() -> None:
         async with robot(load(path).require(), tmp_path) as system:
-            outcome = await system.change("Half")
-            assert outcome.outcome == "rolled_back" and "does not keep the 50 Hz" in (outcome.because or "")
-            await system.hears()
+            for kind in ("Half", "Third"):
+                outcome = await system.change(kind)
+                assert outcome.outcome == "rolled_back", (kind, outcome)
+                assert "talker_2.out does not keep the 50 Hz" in (outcome.because or "")
+                assert "(talker.out wrote at " in (outcome.because or "")
+                await system.hears()
             assert system.changes() == [] and system.holes() == []
 
     with ended():

@@ -383,7 +383,8 @@ def test_the_plans_of_every_strategy_are_compared_on_one_time_axis(capsys: pytes
         "quiesce": {"▒"},
         "stop": {"▒", "█"},
     }
-    assert len(axes["stop"]) == 60 > len(axes["paper"]) > len(axes["minimal"])
+    # A hand-over takes the probation of its output, 1 s at 10 Hz, and nothing falls meanwhile.
+    assert len(axes["stop"]) == 60 > len(axes["minimal"]) > len(axes["paper"])
     _, out, _ = run(capsys, *words, "--json")
     plans = json.loads(out)["strategies"]
     assert [(name, plan["strategy"], len(plan["steps"])) for name, plan in plans.items()] == [

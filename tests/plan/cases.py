@@ -35,7 +35,7 @@ SLOW = Predicate(TYPE, 5.0)
 # Round numbers, so that the tests can say what comes out.
 TIMING = {
     "create": 1.0, "remove": 0.5, "attach": 0.1, "detach": 0.1,
-    "degrade": 0.01, "upgrade": 0.01, "handover": 0.1, "set": 0.01,
+    "degrade": 0.01, "upgrade": 0.01, "handover": 0.1, "set": 0.01, "probation": 0.0,
 }  # fmt: skip
 
 

@@ -172,7 +172,7 @@ def system(rng: Random, nodes: int = 5, topics: int = 4) -> Specification:
         components=Map(components),
         nodes=Map({role: node(rng, role, of, table) for role, of in chosen}),
         environment=tuple(environment),
-        timing=Map({"remove": 0.25}),
+        timing=Map({"remove": 0.25, "probation": 0.0}),
     )
 
 
@@ -355,7 +355,7 @@ def tight(rng: Random, replaced: int) -> tuple[Specification, Specification]:
         connectors=Map(connectors),
         components=Map(components),
         nodes=Map(nodes),
-        timing=Map({"remove": rng.choice((0.25, 0.5))}),
+        timing=Map({"remove": rng.choice((0.25, 0.5)), "probation": 0.0}),
     )
     target = start
     for role, of in succession.items():
@@ -422,7 +422,7 @@ def exclusive(rng: Random, roles: int) -> tuple[Specification, Specification]:
             components=Map(components),
             nodes=Map({role: nodes[end] for role, nodes in pair.items()}),
             resources=Map({"device": Resource("device", max(held, 1.0))}),
-            timing=Map({"remove": 0.25}),
+            timing=Map({"remove": 0.25, "probation": 0.0}),
         )
         for end in range(2)
     )

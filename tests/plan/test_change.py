@@ -20,7 +20,7 @@ from midstride.model.component import (
     ParameterSpec,
 )
 from midstride.model.contract import Predicate
-from midstride.model.specification import Keep, Limit, Node, Specification, initial
+from midstride.model.specification import Keep, Limit, Node, Specification, initial, probation_seconds
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.request import PlanRequest
@@ -144,12 +144,44 @@ def test_durations_are_declared_else_measured_else_the_default() -> None:
 
 
 def test_a_hand_over_takes_its_probation_and_the_watch_after_it() -> None:
-    start = talker()
-    target = replace(start, timing=Map({"probation": 2.0, "watch_after": 5.0, "probation_timeout": 9.0}))
-    cases: list[tuple[dict[str, float], float]] = [({}, 0.1 + 2 + 5), ({"handover": 2.5}, 2.5 + 5)]
-    for measured, seconds in cases:
-        change = change_between(initial(start), start, target, exactly(measured))
-        assert change.seconds("handover") == pytest.approx(seconds)
+    """All outputs are on probation at once. What was measured of earlier hand-overs does not include it."""
+    rates = {"a": 10.0, "b": 2.0, "c": None}
+    modes = (Mode("normal", (), Map({port: replace(NEED, rate=rate) for port, rate in rates.items()})), Mode("off"))
+    parts = [component(name, FunctionalitySpec("work", modes, (), tuple(rates), 1.0)) for name in ("Old", "New")]
+    topics = {f"/{port}": replace(NEED, rate=rate) for port, rate in rates.items()}
+    start = system(parts, {"many": ("Old", {port: f"/{port}" for port in rates})}, topics=topics)
+    watched = {"probation": 3.0, "watch_after": 5.0, "probation_timeout": 9.0}
+    cases: list[tuple[dict[str, float], dict[str, float], float]] = [
+        ({}, {}, 0.1 + 5 / 2),  # five periods of b; of a, ten would be 1 s
+        ({"probation": 0.0}, {}, 0.1),
+        (watched, {}, 0.1 + 3 + 5),
+        (watched, {"handover": 0.4}, 0.4 + 3 + 5),
+    ]
+    for timing, measured, seconds in cases:
+        target = replace(start.with_replaced("many", "New"), timing=Map(timing))
+        plan = planner("minimal")(change_between(initial(start), start, target, exactly(measured)))
+        [found] = [step.seconds for step in plan.steps if isinstance(step.action, Handover)]
+        assert found == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize(
+    ("timing", "rate", "seconds"),
+    [
+        ({}, 100.0, 0.2),
+        ({}, 20.0, 0.5),
+        ({}, 4.0, 2.0),
+        ({}, 1.0, 5.0),
+        ({}, None, 0.0),
+        ({"probation": 0.0}, 1.0, 0.0),
+        ({"probation": 3.0}, 100.0, 3.0),
+        ({"probation": 3.0}, 1.0, 5.0),
+        ({"probation": 3.0}, None, 0.0),
+    ],
+)
+def test_a_rate_is_judged_over_some_of_its_periods(
+    timing: dict[str, float], rate: float | None, seconds: float
+) -> None:
+    assert probation_seconds(timing, rate) == pytest.approx(seconds)
 
 
 # -- the same component again ------------------------------------------------------------------------------

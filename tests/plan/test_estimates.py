@@ -27,7 +27,7 @@ def two_on_one_device() -> tuple[Specification, Specification]:
         for kind, held in (("Old", 2.0), ("New", 1.0))
     ]
     nodes = {role.lower(): (f"Old{role}", {"out": f"/{role}"}) for role in "AB"}
-    start = replace(system(parts, nodes, resources={"gpu": 4.0}), timing=Map())
+    start = replace(system(parts, nodes, resources={"gpu": 4.0}), timing=Map(probation=0.0))
     return start, start.with_replaced("a", "NewA").with_replaced("b", "NewB")
 
 

@@ -575,10 +575,10 @@ def test_a_new_publisher_is_watched_at_the_rate_that_it_guarantees_if_any(
     configuration = talking(talker=source).with_instance(new).with_modes({work("talker_2"): 0})
 
     async def body(b: Bench) -> None:
-        b.client.reply("talker_2", AwaitRateCommand, RateVerdict(reached=False, rate=0.0, pause=0.0, failed=False))
         await perform(b, HANDOVER)
+        b.client.reply("talker_2", AwaitRateCommand, RateVerdict(reached=False, rate=0.0, pause=0.0, failed=False))
         await b.driver.watch(HANDOVER)
-        [command] = b.client.of(AwaitRateCommand, "talker_2")
+        command = b.client.of(AwaitRateCommand, "talker_2")[-1]
         assert (command.rate, command.until, command.timeout) == (rate, "broken", 5.0)
         assert b.words("watching") == ["watching talker_2.out for 5 s"]
 

@@ -104,7 +104,7 @@ def test_a_node_that_raises_in_its_first_calls_is_in_the_report_of_the_change(ca
 
 
 def test_what_relies_on_a_replacement_that_raises_while_it_is_watched_is_named_as_well(tmp_path: Path) -> None:
-    directory = raising(tmp_path / "programs", "new_talker.py", 10)
+    directory = raising(tmp_path / "programs", "new_talker.py", 20)
 
     async def body(manager: Manager, _: Simulator) -> Outcome:
         return await manager.change(replace("talker", "NewTalker"))

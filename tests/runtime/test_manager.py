@@ -637,7 +637,7 @@ def test_a_new_one_that_breaks_while_it_is_watched_is_in_the_outcome(tmp_path: P
     def breaking(file: str, text: str) -> str:
         if file != "new_talker.py":
             return text
-        text = text.replace("    out.write(", "    calls.append(0)\n    1 / (len(calls) < 15)\n    out.write(", 1)
+        text = text.replace("    out.write(", "    calls.append(0)\n    1 / (len(calls) < 25)\n    out.write(", 1)
         return text.replace("talk.set_normal_mode(", "calls = []\ntalk.set_normal_mode(")
 
     async def body(manager: Manager, _: Simulator) -> Outcome:

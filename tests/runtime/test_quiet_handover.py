@@ -86,6 +86,14 @@ def test_a_filter_without_input_is_replaced_and_goes_on_when_there_is_some(
     assert reader.changes == 1 and len(reader.numbers) > 20
 
 
+def test_a_filter_without_input_is_not_handed_back_while_it_is_watched(tmp_path: Path) -> None:
+    outcome, reader, _ = replaced(pausing(tmp_path, for_messages(10), rated=True), more=20.0, watch_after=4.0)
+    assert (outcome.outcome, outcome.because) == ("done", None)
+    assert outcome.seconds > 4
+    reader.assert_exactly_once()
+    assert reader.changes == 1
+
+
 def test_a_new_one_that_writes_nothing_while_the_old_one_does_is_refused(tmp_path: Path) -> None:
     folder = system(tmp_path, for_messages(2), for_messages(2).replace("    pass\n", f"    {DEAF}\n"), source=2)
     change(folder, without_rates)

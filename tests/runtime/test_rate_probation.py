@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +11,16 @@ import pytest
 from immutables import Map
 
 from midstride.backends.simulator import Simulator
-from midstride.runtime.handover.probation import SHORTEST_PERIODS, require_rate, watch_after
+from midstride.model.action import Swap
+from midstride.model.specification import FEWEST_PERIODS
+from midstride.plan.request import PlanRequest
+from midstride.runtime.handover.probation import Probation, WatchedOutput, watch_after
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.wire.commands import AwaitRateCommand
 from midstride.wire.replies import RateVerdict
 from tests.model import build
-from tests.runtime.counting import Reader, at_rates, counting, exchanged, settle, system
+from tests.runtime.counting import Reader, at_rates, counting, exchanged, for_messages, settle, system
 from tests.runtime.scripted import Bench, bench, talking
 
 # How the new component writes: put before its only write. It is called at 20 Hz.
@@ -27,6 +31,9 @@ BURSTS = """calls.append(1)
         output.write(String(data=f"{count[name]} {comp.instance}"))
 """
 STALLS = "calls.append(1)\n        if len(calls) % 20 < 8: return\n"
+THIRD = "calls.append(1)\n        if len(calls) % 3: return\n"
+# Its first calls are as they should be.
+SLOW_LATER = "calls.append(1)\n        if len(calls) > 8 and len(calls) % 3: return\n"
 SLOW_WHEN_LIVE = "calls.append(1)\n        if comp.is_live and len(calls) % 3: return\n"
 SILENT_WHEN_LIVE = "calls.append(comp.is_live)\n        if calls.count(True) > 5: return\n"
 RAISES_WHEN_LIVE = "calls.append(comp.is_live)\n        if calls.count(True) == 20: raise ValueError('now')\n"
@@ -41,7 +48,11 @@ def program(before: str = "") -> str:
 
 
 def changed(
-    folder: Path, new: str, timing: dict[str, float], kill_after: float | None = None
+    folder: Path,
+    new: str,
+    timing: dict[str, float],
+    kill_after: float | None = None,
+    old: str = "",
 ) -> tuple[Outcome, float, list[str], list[str]]:
     """The outcome of the replacement, how long it took, what runs afterwards, and what a subscriber received."""
 
@@ -62,7 +73,7 @@ def changed(
         assert (await manager.status()).valid
         return outcome, took, sorted(manager.configuration.instances), reader.words
 
-    return counting(system(folder, program(), new, out=20), body)
+    return counting(system(folder, old or program(), new, out=20), body)
 
 
 @pytest.mark.parametrize(("new", "least"), [(program(), 1.0), (program(LATE), 3.5)])
@@ -82,7 +93,7 @@ def test_what_is_slow_or_comes_in_bursts_or_stalls_is_refused(before: str, tmp_p
     assert "counter_2.out does not keep the 20 Hz that its mode guarantees: in the last 1 s it wrote at" in str(
         outcome.because
     )
-    assert "behind its gate; it was given 5 s" in str(outcome.because)
+    assert "behind its gate (counter.out wrote at 20 Hz in that time); it was given 5 s" in str(outcome.because)
     assert instances == ["counter", "sink"]
     assert all(word.endswith(" counter") for word in words)
     assert outcome.seconds < 8
@@ -117,17 +128,101 @@ def test_the_old_one_stays_warm_while_the_new_one_is_watched(tmp_path: Path) -> 
     assert 3.0 <= outcome.seconds < 4.5
 
 
-def test_without_a_stated_time_neither_takes_any(tmp_path: Path) -> None:
-    outcome, _, _, _ = changed(tmp_path, program(), {})
-    assert outcome.outcome == "done" and outcome.seconds < 1.5
+@pytest.mark.parametrize(("new", "taken"), [(program(), True), (program(SLOW), False), (program(THIRD), False)])
+def test_a_rate_is_judged_without_a_stated_time(new: str, taken: bool, tmp_path: Path) -> None:
+    outcome, _, instances, words = changed(tmp_path, new, {})
+    if taken:
+        assert outcome.outcome == "done" and outcome.seconds < 1.7 and instances == ["counter_2", "sink"]
+        return
+    assert outcome.outcome == "rolled_back" and instances == ["counter", "sink"]
+    assert "counter_2.out does not keep the 20 Hz that its mode guarantees: in the last 0.5 s" in str(outcome.because)
+    assert "(counter.out wrote at 20 Hz in that time)" in str(outcome.because)
+    assert "`timing { probation 0 s }` in the specification lets it in all the same" in str(outcome.because)
+    assert all(word.endswith(" counter") for word in words)
+
+
+def test_without_probation_and_watch_neither_takes_any_time(tmp_path: Path) -> None:
+    outcome, _, _, words = changed(tmp_path, program(SLOW), {"probation": 0.0})
+    assert outcome.outcome == "done" and outcome.seconds < 1.2 and words[-1].endswith("counter_2")
+
+
+@pytest.mark.parametrize(("old", "new", "taken"), [(SLOW, SLOW, True), (THIRD, SLOW, True), (SLOW, THIRD, False)])
+def test_one_that_writes_no_less_than_an_old_one_that_is_slow_itself_is_let_in(
+    old: str, new: str, taken: bool, tmp_path: Path
+) -> None:
+    outcome, _, instances, _ = changed(tmp_path, program(new), {}, old=program(old))
+    assert outcome.outcome == ("done" if taken else "rolled_back"), outcome.because
+    assert instances == ["counter_2" if taken else "counter", "sink"]
+
+
+@pytest.mark.parametrize("arriving", [7.0, 20.0])
+def test_a_filter_is_judged_by_what_comes_in(arriving: float, tmp_path: Path) -> None:
+    """It guarantees 20 Hz, and answers each of the messages that arrive at another rate."""
+    system(tmp_path, for_messages(20), source=20)
+    source = (tmp_path / "source.py").read_text()
+    (tmp_path / "source.py").write_text(source.replace("rate=20", f"rate={arriving:g}"))
+    document = json.loads((tmp_path / "counting.json").read_text())
+    talk = document["components"]["Source"]["functionalities"]["talk"]
+    talk["modes"]["normal"]["guarantees"]["out"]["rate"] = document["topics"]["/ticks"]["rate"] = arriving
+    (tmp_path / "counting.json").write_text(json.dumps(document))
+    outcomes: list[Outcome] = []
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        await settle(1)
+        outcomes.append(await exchanged(manager))
+
+    counting(tmp_path, body)
+    [outcome] = outcomes
+    assert (outcome.outcome, outcome.because) == ("done", None)
+    assert outcome.seconds < 2.5
+
+
+@pytest.mark.parametrize(("before", "taken"), [("", True), (SLOW_LATER, False), (SLOW, False)])
+def test_a_brief_change_lets_in_after_three_calls_and_judges_the_rate_afterwards(
+    before: str, taken: bool, tmp_path: Path
+) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> tuple[Outcome, float, list[str], list[str]]:
+        reader = Reader(simulator, "/out")
+        await settle()
+        begun = simulator.clock.steady()
+        request = PlanRequest(replace=(("counter", "B"),))
+        outcome = await manager.change(request, brief=True)
+        first = next(at for at, word in zip(reader.times, reader.words, strict=True) if word.endswith("counter_2"))
+        return outcome, first - begun, sorted(manager.configuration.instances), reader.words
+
+    folder = system(tmp_path, program(), program(before), out=20)
+    outcome, first, instances, words = counting(folder, body)
+    assert first < 0.6, "when its first message was heard"
+    assert (outcome.outcome == "done") == taken, outcome.because
+    assert instances == ["counter_2" if taken else "counter", "sink"]
+    assert words[-1].endswith(instances[0])
+
+
+def test_the_next_change_does_not_wait_until_a_brief_one_has_been_watched(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> float:
+        first = asyncio.ensure_future(manager.change(PlanRequest(replace=(("counter", "B"),)), brief=True))
+        while manager.log()[-1].kind != "watching":
+            await asyncio.sleep(0.01)
+        begun = simulator.clock.steady()
+        second = asyncio.ensure_future(manager.change(PlanRequest(replace=(("counter", "A"),)), brief=True))
+        assert (await first).outcome == "done"
+        took = simulator.clock.steady() - begun
+        assert (await second).outcome == "done"
+        return took
+
+    assert counting(system(tmp_path, program(), out=20), body) < 1.0
 
 
 def test_the_window_of_a_slow_output_is_some_of_its_periods_long(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.client.reply("talker", AwaitRateCommand, RateVerdict(reached=True, rate=0.5, pause=2.0, failed=False))
-        await require_rate(b.client, build.port("talker.out"), "/chatter", 0.5, TIMING, stretch=1.0)
+        swap = Swap("/chatter", build.port("talker.out"), build.port("talker_2.out"))
+
+        async def nothing(_: str) -> str:
+            return ""
+
+        assert await Probation(b.client, swap, "/chatter", 0.5, False, TIMING, nothing).run() == "writes"
         [asked] = b.client.of(AwaitRateCommand)
-        assert (asked.window, asked.timeout) == (SHORTEST_PERIODS / 0.5, SHORTEST_PERIODS / 0.5 + 4.0)
+        assert (asked.window, asked.timeout) == (FEWEST_PERIODS / 0.5, FEWEST_PERIODS / 0.5 + 4.0)
 
     bench(talking(), tmp_path, body)
 
@@ -135,7 +230,8 @@ def test_the_window_of_a_slow_output_is_some_of_its_periods_long(tmp_path: Path)
 def test_what_is_watched_on_a_slow_clock_is_watched_for_longer(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker", AwaitRateCommand, RateVerdict(reached=False, rate=5.0, pause=0.2, failed=False))
-        await watch_after(b.client, [(build.port("talker.out"), "/chatter", 5.0)], 3.0, stretch=2.0)
+        watched = WatchedOutput(build.port("talker.out"), build.port("talker_2.out"), "/chatter", 5.0)
+        await watch_after(b.client, [watched], 3.0, stretch=2.0)
         assert [asked.timeout for asked in b.client.of(AwaitRateCommand)] == [6.0]
 
     bench(talking(), tmp_path, body)

@@ -42,13 +42,31 @@ DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
     }
 )
 # What a hand-over takes its time for (s), where the file does not say (docs/protocols/probation.md).
-HANDOVER_SECONDS: Final[Mapping[str, float]] = Map({"probation": 0.0, "probation_timeout": 5.0, "watch_after": 0.0})
-TIMING: Final = (*DEFAULT_SECONDS, *HANDOVER_SECONDS)
+HANDOVER_SECONDS: Final[Mapping[str, float]] = Map({"probation_timeout": 5.0, "watch_after": 0.0})
+TIMING: Final = (*DEFAULT_SECONDS, "probation", *HANDOVER_SECONDS)
+# An output with a rate is judged over so many of its periods, within bounds (s), where the file states no probation;
+# and over no less than so many in any case.
+PROBATION_PERIODS: Final = 10
+SHORTEST_PROBATION: Final = 0.2
+LONGEST_PROBATION: Final = 2.0
+FEWEST_PERIODS: Final = 5
 
 
 def handover_seconds(timing: Mapping[str, float], name: str) -> float:
     """What ``timing`` states for one of HANDOVER_SECONDS, or its default (s)."""
     return timing.get(name, HANDOVER_SECONDS[name])
+
+
+def probation_seconds(timing: Mapping[str, float], rate: float | None) -> float:
+    """Over how long (s) a new publisher must keep ``rate`` (Hz) behind its gate; 0 if it need not.
+
+    That is what ``timing`` states as ``probation``, else a default; never less than FEWEST_PERIODS of the rate.
+    """
+    stated = timing.get("probation")
+    if not rate or stated == 0:
+        return 0.0
+    window = min(max(SHORTEST_PROBATION, PROBATION_PERIODS / rate), LONGEST_PROBATION) if stated is None else stated
+    return max(window, FEWEST_PERIODS / rate)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 
 from immutables import Map
 
-from midstride.model.action import Action, Create, Remove, Swap
+from midstride.model.action import Action, Create, Handover, Remove, Swap
 from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.specification import DEFAULT_SECONDS, Specification, handover_seconds
+from midstride.model.specification import DEFAULT_SECONDS, Specification, handover_seconds, probation_seconds
 from midstride.plan.estimate import Estimate
 
 PortAttachment = tuple[PortRef, str]
@@ -94,8 +94,8 @@ class Change:
     def estimate(self, kind: str, component: ComponentSpec | None = None) -> Estimate:
         """How long a step takes: declared in the target, else measured earlier, else the stated default.
 
-        A hand-over also takes the time in which the target has the new publisher tried before (included in what was
-        measured), and watched after. A removal takes at most what the component states until it is killed.
+        To a hand-over, :meth:`estimate_of` adds the probation of its outputs; the time for which they are watched
+        afterwards is in it. A removal takes at most what the component states until it is killed.
         """
         timing = self.target.timing
         if kind == "create" and component is not None and component.startup_seconds is not None:
@@ -107,8 +107,6 @@ class Change:
             found = measured
         else:
             found = Estimate.exactly(timing.get(kind, DEFAULT_SECONDS[kind]))
-            if kind == "handover":
-                found = found.plus(handover_seconds(timing, "probation"))
         if kind == "remove" and component is not None and component.stop is not None:
             return found.at_most(component.stop.longest)
         return found.plus(handover_seconds(timing, "watch_after")) if kind == "handover" else found
@@ -116,7 +114,18 @@ class Change:
     def estimate_of(self, action: Action) -> Estimate:
         """How long ``action`` takes."""
         created = isinstance(action, Create | Remove)
-        return self.estimate(action.kind, self.component_of(*action.instances()) if created else None)
+        found = self.estimate(action.kind, self.component_of(*action.instances()) if created else None)
+        return found.plus(self.probation(action)) if isinstance(action, Handover) else found
+
+    def probation(self, action: Handover) -> float:
+        """How long the outputs of a hand-over are on probation for their rates, all at the same time (s)."""
+        return max(probation_seconds(self.target.timing, self._rate(swap.new)) for swap in action.swaps)
+
+    def _rate(self, port: PortRef) -> float | None:
+        """What an output guarantees in its best mode (Hz)."""
+        component = self.component_of(port.instance)
+        owner = component.find_owner(port.port)
+        return None if owner is None else component.stated_rate(port.port, {owner.name: owner.modes[0].name})
 
     def sibling(self, connector: str) -> str | None:
         """The old connector of a topic whose contract changes, given the new one; else None."""

@@ -183,8 +183,9 @@ class Attachments:
         return replies.Attached(matched=matched)
 
     async def count_writes(self, command: commands.CountWritesCommand) -> replies.CountedWrites:
-        link = self.link(command.port, command.topic)
-        return replies.CountedWrites(written=link.count + link.gated)
+        output = self.output(command.port)
+        link = output.link(command.topic)
+        return replies.CountedWrites(written=output.unattached if link is None else link.count + link.gated)
 
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""

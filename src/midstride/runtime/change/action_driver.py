@@ -6,10 +6,11 @@ each component that can be reached.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from immutables import Map
 
@@ -41,7 +42,7 @@ from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences, StepBudget
 from midstride.runtime.handover.live_handover import LiveHandover
 from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
-from midstride.runtime.handover.probation import watch_after
+from midstride.runtime.handover.probation import WatchedOutput, watch_after
 from midstride.runtime.handover.state_moves import StateMoves
 from midstride.runtime.handover.state_transfers import STATE_TIMEOUT, StateTransfers, keeps_state, own_state
 from midstride.runtime.instance_life import ProcessEvent
@@ -56,6 +57,9 @@ from midstride.wire import commands, replies
 from midstride.wire.commands import Command
 
 R = TypeVar("R")
+
+# For how long the new publishers of a brief change are watched, where the specification does not say (s).
+BRIEF_WATCH: Final = 2.0
 
 
 @dataclass(slots=True)
@@ -409,6 +413,7 @@ class ActionDriver:
             self._carry_parameters,
             Map() if self.rolling_back else self.change.target.timing,
             turn or only_turn(),
+            rates=not self.rolling_back and not (self.change.brief and "probation" not in self.change.target.timing),
         )
         self.last_numbers |= await handover.run()
         self.first_numbers |= handover.first_numbers
@@ -417,21 +422,49 @@ class ActionDriver:
     async def watch(self, action: Action) -> None:
         """After a hand-over, watch the new publishers for as long as the specification says; the old ones stay warm.
 
-        Raises StepFailed if one breaks what it guarantees.
+        Those of a brief change are watched for a while by default, until the next command waits. Raises StepFailed if
+        one breaks what it guarantees.
         """
-        seconds = handover_seconds(self.change.target.timing, "watch_after")
-        if not isinstance(action, Handover) or not seconds:
+        if not isinstance(action, Handover):
             return
-        ports = sorted({(swap.new, self.configuration.topic(swap.connector)) for swap in action.swaps})
-        self.events.add("watching", f"watching {', '.join(str(port) for port, _ in ports)} for {seconds:g} s")
-        outputs = [(port, topic, self.configuration.rate(port) or 0.0) for port, topic in ports]
-        slowest = max(stretch_of(self.client, port.instance) for port, _ in ports)
+        timing = self.change.target.timing
+        by_default = self.change.brief and "probation" not in timing and "watch_after" not in timing
+        by_default = by_default and any(self._rate(swap.new) for swap in action.swaps)
+        if not (seconds := BRIEF_WATCH if by_default else handover_seconds(timing, "watch_after")):
+            return
+        outputs = sorted(
+            {
+                WatchedOutput(swap.new, swap.old, self.configuration.topic(swap.connector), self._rate(swap.new))
+                for swap in action.swaps
+            }
+        )
+        self.events.add("watching", f"watching {', '.join(str(each.port) for each in outputs)} for {seconds:g} s")
+        slowest = max(stretch_of(self.client, each.port.instance) for each in outputs)
+        watching = asyncio.ensure_future(watch_after(self.client, outputs, seconds, slowest))
         try:
-            await watch_after(self.client, outputs, seconds, slowest)
+            await self._unless_hurried(watching, by_default)
         except StepFailed as error:
             if degradations := await self._own_degradations(action):
                 raise StepFailed("; ".join(degradations)) from error
             raise
+
+    def _rate(self, port: PortRef) -> float:
+        """What an output guarantees (Hz), or 0."""
+        return self.configuration.rate(port) or 0.0
+
+    async def _unless_hurried(self, watching: asyncio.Future[None], by_default: bool) -> None:
+        """Await ``watching``; where it is done by default, only until the next command waits."""
+        hurried = self.change.hurried if by_default else None
+        hurrying = asyncio.ensure_future((hurried or asyncio.Event()).wait())
+        both: set[asyncio.Future[Any]] = {watching, hurrying}
+        try:
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            if watching.done():
+                watching.result()
+        finally:
+            for task in both:
+                task.cancel()
+            await asyncio.gather(*both, return_exceptions=True)
 
     async def _carry_parameters(self, old: str, new: str) -> None:
         if not self.rolling_back:

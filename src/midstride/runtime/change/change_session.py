@@ -253,9 +253,9 @@ class ChangeSession:
         """The change that carries ``plan`` out, from now on in the journal; ``is_new``: no system runs yet.
         ``partial``: what cannot be created is left out.
 
-        ``keep``: with the parameter values that were set at run time. ``brief``: the next command does not wait for the
-        whole measurement. ``wait``: after how long a component that hangs, and is to go, is fenced (s). Raises
-        Superseded; where the journal is ``required``, ManagerError.
+        ``keep``: with the parameter values that were set at run time. ``brief``: new publishers are let in after their
+        first calls, and the next command does not wait for the whole measurement. ``wait``: after how long a component
+        that hangs, and is to go, is fenced (s). Raises Superseded; where the journal is ``required``, ManagerError.
         """
         system = self.system
         preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while
@@ -267,7 +267,19 @@ class ChangeSession:
         transfer = ParameterTransfer(self.client, system.values, plan.change, plan.parameters, keep)
         missing = system.life.missing
         change = RunningChange(
-            plan, target, preview, entry, recording, transfer, wait, system.configuration, missing, verdict, partial
+            plan,
+            target,
+            preview,
+            entry,
+            recording,
+            transfer,
+            wait,
+            system.configuration,
+            missing,
+            verdict,
+            partial,
+            brief,
+            hurried,
         )
         if verdict is not UNSET:
             seen = tuple(plan.configurations())

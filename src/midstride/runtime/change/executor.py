@@ -224,7 +224,10 @@ class Executor:
         key = _estimates(action, self.system.configuration, self.change.actions) if place is None else None
         begun = clock.steady()
         await self._step(action, held=place is not None and self._commanding(action) is not None, turn=turn)
-        self.change.entry.took(clock.steady() - begun, key, place or 0)
+        took = clock.steady() - begun
+        if isinstance(action, Handover) and not self.change.brief:  # how long a probation takes is known
+            took = max(0.0, took - self.change.plan.change.probation(action))
+        self.change.entry.took(took, key, place or 0)
         if turn is not None:
             turn.ended = True
             await turn.turns.waiting(self.driver.watch(action))

@@ -33,6 +33,9 @@ class RunningChange:
     ``before`` is the configuration that it started from, and ``missing_before`` what had exited by then. ``verdict`` is
     Alloy's on the plan, if it was asked.
 
+    ``brief``: new publishers are let in after their first calls, and their rates are judged afterwards, until
+    ``hurried``, if given, is set.
+
     ``partial``: an instance that cannot be created is left out, and its steps end with the creations; by role,
     ``left_out`` says why. The caller plans the rest again without these roles.
 
@@ -52,6 +55,8 @@ class RunningChange:
     missing_before: dict[str, Exited] = field(default_factory=dict)
     verdict: Verdict | UnsetType = UNSET
     partial: bool = False
+    brief: bool = False
+    hurried: asyncio.Event | None = None
     left_out: dict[str, str] = field(default_factory=dict)
     phase: ChangePhase = ChangePhase.PLANNED
     outcome: OutcomeKind | None = None  # until its steps have ended

@@ -102,6 +102,7 @@ class LiveHandover:
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
     timing: Mapping[str, float] = field(default_factory=Map)  # of the specification
     turn: CutTurn = field(default_factory=only_turn)
+    rates: bool = True  # whether the new publishers must keep their rates before the cut
     # Of the new outputs that have published at an agreed moment: the number of the first message.
     first_numbers: dict[PortRef, int] = field(default_factory=dict, init=False)
     _new: NewPublishers = field(init=False)
@@ -111,7 +112,7 @@ class LiveHandover:
     _deadline: float = 0.0  # until when an old side that hangs may become free (steady s)
 
     def __post_init__(self) -> None:
-        self._new = NewPublishers(self.client, self.events, self.configuration, self.backend, self.timing)
+        self._new = NewPublishers(self.client, self.events, self.configuration, self.backend, self.timing, self.rates)
 
     async def run(self) -> dict[PortRef, int | None]:
         """The number of each old output's last message. Raises StepFailed with the reason.
@@ -254,6 +255,7 @@ class LiveHandover:
         waiting = [swap for swap in self.swaps if not any(swap in cut.swaps for cut in published)]
         await self._cancel(cut for cut in self._cuts if cut not in published)
         await self._new.attach([swap for swap in waiting if not self._new.attached(swap)])
+        self._new.rates &= "probation" in self.timing  # the topics are silent
         await self._await_turn(waiting, lambda: True)
         if hung and not last:
             await self._before_cut()

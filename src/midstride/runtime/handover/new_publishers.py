@@ -38,6 +38,7 @@ class NewPublishers:
     configuration: Configuration
     backend: Backend
     timing: Mapping[str, float]
+    rates: bool = True  # whether they must keep the rates that they guarantee
     # The swaps whose new publisher may be attached, and those where it is.
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
@@ -116,7 +117,11 @@ class NewPublishers:
             return  # it writes nothing until it takes over; or the old side has exited since
         if swap.new.port in component.lazy and not self.configuration.subscribers_on(swap.connector):
             return  # it need not exist, and the old publisher neither
-        probation = Probation(self.client, self.configuration, self.timing, swap, self.waits_for)
+        rate, endpoint = self.configuration.rate(swap.new) or 0.0, component.output_endpoint(swap.new.port)
+        latched = endpoint is not None and endpoint[1].is_transient_local
+        probation = Probation(
+            self.client, swap, self._topic(swap), rate, latched, self.timing, self.waits_for, self.rates
+        )
         if await probation.run() == "quiet":
             self.quiet.add(swap)
             self.events.add("note", f"{swap.new} takes over from {swap.old} without a message: neither writes any")

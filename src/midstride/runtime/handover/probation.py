@@ -1,73 +1,35 @@
 """Probation and watch-after by measured rates: what a new publisher must show before the cut, and keep after it.
 
-docs/protocols/probation.md. Both are off unless the specification states a duration (``timing``), but for the probation
-of programs without Midstride's API: these keep their rates themselves, and may be other than what is declared.
+docs/protocols/probation.md. How long both take, the specification states (``timing``), or a default applies.
 """
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+from msgspec import structs
 
 from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
-from midstride.model.configuration import Configuration
-from midstride.model.specification import handover_seconds
+from midstride.model.specification import FEWEST_PERIODS, handover_seconds, probation_seconds
 from midstride.runtime.cancellation import all_of
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.simulated_time import stretch_of
 from midstride.wire.commands import AwaitRateCommand, AwaitWriteCommand, CountWritesCommand
 from midstride.wire.replies import RateVerdict
 
-# A rate is not judged over less than so many periods, nor watched after a cut over less than so long (s).
-SHORTEST_PERIODS: Final = 5
+# A rate is not watched after a cut over less than so long (s).
 WATCHED_WINDOW: Final = 1.0
-# Where no probation is stated, a program without Midstride's API is judged over so many periods, within bounds (s).
-DEFAULT_PERIODS: Final = 10
-SHORTEST_WINDOW: Final = 0.2
-LONGEST_WINDOW: Final = 2.0
-
-
-def default_probation(rate: float) -> float:
-    """Over how long (s) a program without Midstride's API must keep ``rate`` (Hz); 0 if that would take too long."""
-    window = min(max(SHORTEST_WINDOW, DEFAULT_PERIODS / rate), LONGEST_WINDOW)
-    return window if window >= SHORTEST_PERIODS / rate else 0.0
-
-
-async def require_rate(
-    client: ComponentClient,
-    port: PortRef,
-    topic: str,
-    rate: float,
-    timing: Mapping[str, float],
-    stretch: float,
-    foreign: bool = False,
-) -> None:
-    """Wait until ``port`` has kept ``rate`` (Hz) behind its gate for the probation that ``timing`` states.
-
-    ``stretch`` is how long a second of its clock takes; ``foreign``: the program does not use Midstride's API.
-    Raises StepFailed if it has not within the time-out.
-    """
-    by_default = foreign and "probation" not in timing
-    probation = default_probation(rate) if by_default else handover_seconds(timing, "probation")
-    if not probation:
-        return
-    window = max(probation, SHORTEST_PERIODS / rate)
-    timeout = (window + handover_seconds(timing, "probation_timeout")) * stretch
-    command = AwaitRateCommand(
-        port=port.port, topic=topic, rate=rate, window=window, until="met", timeout=timeout, known_clock=by_default
-    )
-    verdict = await client.read(port.instance, command)
-    if verdict.failed:
-        raise StepFailed(f"the code that writes {port} has raised behind its gate")
-    if not verdict.reached:
-        words = "; `timing { probation 0 s }` in the specification lets it in all the same" if by_default else ""
-        raise StepFailed(f"{_words(port, rate, window, verdict)}, behind its gate; it was given {timeout:.3g} s{words}")
-
-
+# How much of what its predecessor writes a new publisher must write where that does not keep the rate either; and how
+# much of the rate, less one message, the predecessor must write to have kept it.
+AS_MUCH: Final = 0.9
+# How often it is looked whether the old side has exited (s).
+INTERVAL: Final = 0.02
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
 PROBATION: Final = 5.0
 # From how many calls its code must have returned behind the gate, as far as they come within so many seconds of its
@@ -82,49 +44,57 @@ Passed: TypeAlias = Literal["writes", "quiet"]
 
 @dataclass(slots=True)
 class Probation:
-    """What the new publisher of ``swap`` shows behind its gate.
+    """What the new publisher of ``swap`` shows behind its gate; ``rate`` is what it guarantees (Hz), 0 where nothing.
 
-    ``timing`` is that of the specification; ``waits_for`` says what a component waits for, as the end of a sentence.
+    ``latched``: late subscribers get its last message. ``timing`` is that of the specification; ``rates``: whether it
+    must keep its rate. ``waits_for`` says what a component waits for, as the end of a sentence.
     """
 
     client: ComponentClient
-    configuration: Configuration
-    timing: Mapping[str, float]
     swap: Swap
+    topic: str
+    rate: float
+    latched: bool
+    timing: Mapping[str, float]
     waits_for: Callable[[str], Awaitable[str]]
-    _rate: float = field(init=False)  # what the new one guarantees (Hz), or 0
+    rates: bool = True
     _stretch: float = field(init=False)  # how long a second of the old one's clock takes (s)
+    _window: float = field(init=False)  # over how long its rate is judged (s), 0 if it is not
     _lost: str = field(default="", init=False)  # what would be lost if it took over without a message
+    _beside: str = field(default="", init=False)  # what the old one wrote meanwhile
 
     def __post_init__(self) -> None:
-        self._rate = self.configuration.rate(self.swap.new) or 0.0
         self._stretch = stretch_of(self.client, self.swap.old.instance)
+        self._window = probation_seconds(self.timing, self.rate) if self.rates else 0.0
 
     async def run(self) -> Passed:
-        """Wait until it has passed: it writes as it should, or neither side writes at all.
+        """Wait until it has passed: it writes as it should, or no less than the old one, or neither writes at all.
 
         Raises StepFailed with what it lacks.
         """
-        writing, silent = asyncio.ensure_future(self._write()), asyncio.ensure_future(self._fall_silent())
+        first = asyncio.ensure_future(self._write())
+        kept = asyncio.ensure_future(self._keep_rate(first))
+        beside = asyncio.ensure_future(self._compare())
         try:
-            await asyncio.wait({writing, silent}, return_when=asyncio.FIRST_COMPLETED)
-            if not writing.done() and silent.result():
-                return "quiet"
-            await writing
+            await asyncio.wait({kept, beside}, return_when=asyncio.FIRST_COMPLETED)
+            passed = None if kept.done() else beside.result()
+            if passed == "quiet":
+                return passed
+            await (kept if passed is None else first)
             return "writes"
         finally:
-            for task in (writing, silent):
+            for task in (first, kept, beside):
                 task.cancel()
-            await asyncio.gather(writing, silent, return_exceptions=True)
+            await asyncio.gather(first, kept, beside, return_exceptions=True)
 
     async def _write(self) -> None:
-        """Wait for messages behind the gate, and then for their rate. Raises StepFailed."""
-        new, rate = self.swap.new, self._rate
+        """Wait for its first messages behind the gate. Raises StepFailed."""
+        new, rate = self.swap.new, self.rate
         timeout = PROBATION + (10 / rate * self._stretch if rate else 0.0)
         # Without a rate, messages drive it, or it is called once.
         calls = min(CALLS, 1 + int(rate / self._stretch * CALLS_PATIENCE)) if rate else 1
         await_write = AwaitWriteCommand(
-            port=new.port, topic=self._topic, calls=calls, patience=CALLS_PATIENCE, timeout=timeout
+            port=new.port, topic=self.topic, calls=calls, patience=CALLS_PATIENCE, timeout=timeout
         )
         seen = await self.client.read(new.instance, await_write)
         if seen.wrong_type:
@@ -136,75 +106,143 @@ class Probation:
             raise StepFailed(
                 f"{new} has written nothing within {timeout:.3g} s, so it cannot take over{because}{self._lost}"
             )
-        if rate:
-            foreign = self.configuration.component(new.instance).gate is not None
-            await require_rate(self.client, new, self._topic, rate, self.timing, self._stretch, foreign)
 
-    async def _fall_silent(self) -> bool:
-        """Wait until neither side has written for long enough; False if that is not to be known, or not enough.
+    async def _keep_rate(self, first: Awaitable[None]) -> None:
+        """Wait until it has kept its rate for the window. Raises StepFailed if it has not within the time-out.
+
+        By default, it is not waited for where the old side has exited: the topic is silent.
+        """
+        await first
+        if not self._window:
+            return
+        by_default, timeout = "probation" not in self.timing, handover_seconds(self.timing, "probation_timeout")
+        command = AwaitRateCommand(
+            port=self.swap.new.port,
+            topic=self.topic,
+            rate=self.rate,
+            window=self._window,
+            until="met",
+            timeout=(self._window + timeout) * self._stretch,
+            known_clock=by_default,
+        )
+        judging = asyncio.ensure_future(self.client.read(self.swap.new.instance, command))
+        try:
+            while not judging.done():
+                if by_default and self.client.life.is_gone(self.swap.old.instance):
+                    return
+                await asyncio.wait({judging}, timeout=INTERVAL)
+            verdict = judging.result()
+        finally:
+            judging.cancel()
+        if verdict.failed:
+            raise StepFailed(f"the code that writes {self.swap.new} has raised behind its gate")
+        if not verdict.reached:
+            words = "; `timing { probation 0 s }` in the specification lets it in all the same" if by_default else ""
+            raise StepFailed(
+                f"{_words(self.swap.new, self.rate, self._window, verdict)}, behind its gate{self._beside}; "
+                f"it was given {command.timeout:.3g} s{words}"
+            )
+
+    async def _compare(self) -> Passed | None:
+        """Wait until neither side writes, or the old one does not keep the rate and the new one writes no less.
+
+        None if that is not to be known, or does not suffice.
+        """
+        judged = self._window or max(QUIET, FEWEST_PERIODS / self.rate if self.rate else 0.0)
+        silent = 0.0
+        try:
+            before = await self._written()
+            while True:
+                await self.client.clock.sleep(judged * self._stretch)
+                written = await self._written()
+                if self.client.life.is_gone(self.swap.old.instance):
+                    return None
+                old, new = (now - earlier for now, earlier in zip(written, before, strict=True))
+                before = written
+                silent = 0.0 if old or new else silent + judged
+                if silent >= QUIET:
+                    return "quiet" if self._loses_nothing(*written) else None
+                self._beside = f" ({self.swap.old} wrote at {old / judged:.3g} Hz in that time)"
+                if self._window and new >= max(1, AS_MUCH * old) and old < AS_MUCH * self.rate * judged - 1:
+                    return "writes"
+        except MidstrideError:
+            return None
+
+    def _loses_nothing(self, old: int, new: int) -> bool:
+        """Whether it may take over without a message; ``old`` and ``new`` are how many the sides have ever written.
 
         Of an output whose last message late subscribers get, the new side needs one where the old side has one, unless
         the specification states that nothing is waited for.
         """
-        window = max(QUIET, SHORTEST_PERIODS / self._rate if self._rate else 0.0) * self._stretch
-        try:
-            before = await self._written()
-            await self.client.clock.sleep(window)
-            while (written := await self._written()) != before:
-                before = written
-                await self.client.clock.sleep(window)
-        except MidstrideError:
-            return False
-        old, new = written
-        if self._is_latched and old and not new and self.timing.get("probation") != 0:
+        if self.latched and old and not new and self.timing.get("probation") != 0:
             self._lost = (
                 f"; subscribers that join later would not get the last message of {self.swap.old} any more; "
                 "`timing { probation 0 s }` in the specification lets it in all the same"
             )
             return False
-        return not self.client.life.is_gone(self.swap.old.instance)
+        return True
 
     async def _written(self) -> tuple[int, int]:
         """How many messages the old side and the new one have written."""
         old, new = await all_of(
-            self.client.read(port.instance, CountWritesCommand(port=port.port, topic=self._topic))
+            self.client.read(port.instance, CountWritesCommand(port=port.port, topic=self.topic))
             for port in (self.swap.old, self.swap.new)
         )
         return old.written, new.written
 
-    @property
-    def _is_latched(self) -> bool:
-        endpoint = self.configuration.component(self.swap.new.instance).output_endpoint(self.swap.new.port)
-        return endpoint is not None and endpoint[1].is_transient_local
 
-    @property
-    def _topic(self) -> str:
-        return self.configuration.topic(self.swap.connector)
+class WatchedOutput(NamedTuple):
+    """A new publisher after its cut: the output, that of its predecessor, the topic, and its rate (Hz), or 0."""
+
+    port: PortRef
+    old: PortRef
+    topic: str
+    rate: float
 
 
 async def watch_after(
-    client: ComponentClient, outputs: Iterable[tuple[PortRef, str, float]], seconds: float, stretch: float
+    client: ComponentClient, outputs: Iterable[WatchedOutput], seconds: float, stretch: float
 ) -> None:
-    """Watch new publishers, as (port, topic, rate in Hz or 0), for ``seconds`` after their cut.
+    """Watch new publishers for ``seconds`` after their cut.
 
-    Raises StepFailed as soon as one of them does not keep its rate, raises, or does not answer any more.
+    Raises StepFailed as soon as one of them does not keep its rate while its predecessor, behind its gate, writes more,
+    or raises, or does not answer any more.
     """
 
-    async def watch(port: PortRef, topic: str, rate: float) -> None:
-        window = max(WATCHED_WINDOW, SHORTEST_PERIODS / rate if rate else 0.0)
-        command = AwaitRateCommand(
-            port=port.port, topic=topic, rate=rate, window=window, until="broken", timeout=seconds * stretch
-        )
+    async def written(output: WatchedOutput) -> tuple[float, float]:
+        """How many messages the new one and the old one have written; of an old one that has ended, nothing counts."""
+        command = CountWritesCommand(port=output.port.port, topic=output.topic)
+        new = (await client.read(output.port.instance, command)).written
         try:
-            verdict = await client.read(port.instance, command)
+            old = await client.read(output.old.instance, structs.replace(command, port=output.old.port))
+        except MidstrideError:
+            return new, math.nan
+        return new, old.written
+
+    async def watch(output: WatchedOutput) -> None:
+        port, rate, left = output.port, output.rate, seconds * stretch
+        window = max(WATCHED_WINDOW, FEWEST_PERIODS / rate if rate else 0.0)
+        try:
+            while left > 0:
+                command = AwaitRateCommand(
+                    port=port.port, topic=output.topic, rate=rate, window=window, until="broken", timeout=left
+                )
+                begun, before = client.clock.steady(), await written(output) if rate else (0, 0)
+                verdict = await client.read(port.instance, command)
+                if verdict.failed:
+                    raise StepFailed(f"the code that writes {port} has raised after the hand-over")
+                if not verdict.reached:
+                    return
+                new, old = (now - earlier for now, earlier in zip(await written(output), before, strict=True))
+                if not new >= AS_MUCH * old - 1:
+                    raise StepFailed(f"{_words(port, rate, window, verdict)}, after the hand-over")
+                left -= client.clock.steady() - begun
+        except StepFailed:
+            raise
         except MidstrideError as error:
             raise StepFailed(f"{port} was watched after the hand-over: {error}") from error
-        if verdict.failed:
-            raise StepFailed(f"the code that writes {port} has raised after the hand-over")
-        if verdict.reached:
-            raise StepFailed(f"{_words(port, rate, window, verdict)}, after the hand-over")
 
-    await all_of(watch(*output) for output in outputs)
+    await all_of(watch(output) for output in outputs)
 
 
 def _words(port: PortRef, rate: float, window: float, verdict: RateVerdict) -> str:
