@@ -290,6 +290,31 @@ def test_a_swap_after_which_code_still_counts_as_changed_is_not_repeated(robot: 
     assert len(finished) == 2
 
 
+def test_a_save_while_a_new_version_is_watched_replaces_it_at_once(robot: Robot) -> None:
+    """The old version and the new one run. What becomes of a change is known later."""
+    ends: list[Callable[[Outcome], None]] = []
+
+    def carry_out(request: Document, done: Callable[[Outcome], None]) -> str | None:
+        robot.requests.append({**request, "to": "to" in request})
+        ends.append(done)
+        return None
+
+    robot.session.carry_out = carry_out
+    robot.edit("talker.py", "hello", "hallo")
+    robot.rolling_back = True
+    robot.session.look()
+    assert robot.asked() == [restart("talker")]
+    robot.edit("talker.py", "hallo", "hullo")
+    robot.session.look()
+    assert robot.asked() == [restart("talker")]
+    ends[0](Outcome(outcome="done"))
+    ends[1](Outcome(outcome="rolled_back", because="it does not keep its rate"))
+    assert robot.shown == ["swapped talker (talker.py)", "refused talker (talker.py): it does not keep its rate"]
+    robot.rolling_back = False
+    robot.session.look()
+    assert robot.asked() == []
+
+
 def test_a_faulty_node_does_not_keep_the_others_out(robot: Robot) -> None:
     (robot.folder / "listener.py").write_text("better")
     robot.edit("talker.py", "hello", "bad")

@@ -17,7 +17,7 @@ from midstride.runtime.records.reports import Event, Outcome
 
 
 class Changes:
-    """Requests changes. A change that is being measured does not keep the next one waiting.
+    """Requests changes. A change that is being watched or measured does not keep the next one waiting.
 
     ``file`` is the one that specifications are read from. With ``with_other_nodes``, nodes that end with a
     process are meant.
@@ -39,12 +39,12 @@ class Changes:
             pass
 
     def carry_out(self, request: Document, finished: Callable[[Outcome], None]) -> str | None:
-        """Request a change, and wait until it is carried out or has failed; the reason where it has.
+        """Request a change, and wait until its new publishers are let in or it has failed; the reason where it has.
 
-        Once a change that was carried out has been measured, ``finished`` is called with the outcome, in another
-        thread. Raises the manager's error.
+        Once a change whose new publishers were let in has been watched and measured, or was taken back after all,
+        ``finished`` is called with the outcome, in another thread. Raises the manager's error.
         """
-        id = uuid.uuid4().hex
+        id, let_in = uuid.uuid4().hex, threading.Event()
         answer: list[Outcome | MidstrideError] = []
 
         def send() -> None:
@@ -53,7 +53,7 @@ class Changes:
                 change = {"request": asked, "brief": True, "id": id, "file": self._file, "by": "midstride dev"}
                 outcome = self._client.change(change)
                 answer.append(outcome)
-                if outcome.outcome == "done":
+                if outcome.outcome == "done" or let_in.is_set():
                     finished(outcome)
             except MidstrideError as error:
                 answer.append(error)
@@ -73,7 +73,8 @@ class Changes:
                 ours = event.id == id
             elif event.kind == "step_failed" and ours:
                 return event.words
-            elif event.kind == "measuring" and ours:
+            elif event.kind in ("watching", "measuring") and ours:
+                let_in.set()
                 return None
 
 

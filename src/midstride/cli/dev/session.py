@@ -49,8 +49,8 @@ class Screen(Protocol):
 class DevSession:
     """``carry_out(request, finished)`` requests a change and returns why it was refused, if it was.
 
-    It calls ``finished`` with the outcome when that is known. Without a save, the manager is asked every ``interval``
-    seconds: a program may import a module late.
+    It calls ``finished`` with the outcome when that is known: a change may be taken back after its new publishers were
+    let in. Without a save, the manager is asked every ``interval`` seconds: a program may import a module late.
     """
 
     specification: WatchedSpecification
@@ -68,6 +68,8 @@ class DevSession:
     # With which contents of its files each change was requested last, and those that were refused then.
     _tried: dict[str, Contents] = field(default_factory=dict)
     _refused: set[str] = field(default_factory=set)
+    # What was requested at once, where it is not known yet what comes of it.
+    _open: list[set[str]] = field(default_factory=list)
 
     def folders(self) -> frozenset[str]:
         """The folders of all files that matter."""
@@ -139,8 +141,10 @@ class DevSession:
         instances = Counter(program.role for program in self._programs)
         for program in self._programs:
             role = program.role
-            if instances[role] > 1:  # it is being replaced, or the change is being rolled back: see what remains
-                continue
+            if instances[role] > 1:  # the new one is being watched, or the change is being rolled back
+                if any(role in names for names in self._open) and (saved := self._saved_since(role)):
+                    yield role, saved
+                continue  # else see what remains
             if not program.changed:
                 self._up_to_date(role)
             elif role in wanted.nodes and self._is_new(role):
@@ -153,6 +157,11 @@ class DevSession:
     def _is_new(self, name: str) -> bool:
         """Whether a change has not been requested yet with the files as they are."""
         return self._tried.get(name) != self._related(name)
+
+    def _saved_since(self, role: str) -> list[str]:
+        """The files that have changed since a change was requested with them."""
+        tried = self._tried.get(role, {})
+        return [path for path, content in self._related(role).items() if tried.get(path, content) != content]
 
     def _up_to_date(self, name: str) -> None:
         """What runs is what the files have."""
@@ -170,12 +179,26 @@ class DevSession:
         what = _what({name: changes[name] for name in sorted(names)})
         self._refused |= names  # from here on, the modules beside are watched, too
         self._tried |= {name: self._related(name) for name in names}
-        refused = self.carry_out(request, partial(self.screen.swapped, what))
+        self._open.append(names)
+        refused = self.carry_out(request, partial(self._finished, what, names))
         if refused is None:
             self._refused -= names
         else:
+            self._close(names)
             self.screen.refused(what, refused)
         return refused
+
+    def _finished(self, what: str, names: set[str], outcome: Outcome) -> None:
+        """What has come of a change whose new publishers were let in. In another thread."""
+        self._close(names)
+        if outcome.outcome == "done":
+            self.screen.swapped(what, outcome)
+        else:
+            self._refused = self._refused | names
+            self.screen.refused(what, str(outcome.because))
+
+    def _close(self, names: set[str]) -> None:
+        self._open = [each for each in self._open if each is not names]
 
     # -- files -----------------------------------------------------------------------------------------
 
