@@ -31,7 +31,7 @@ from midstride.model.action import (
 )
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.specification import handover_seconds
+from midstride.model.specification import FEWEST_PERIODS, handover_seconds
 from midstride.plan.state_continuity import left_behind, without_outputs
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.change.change_phases import ChangePhase
@@ -42,7 +42,7 @@ from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences, StepBudget
 from midstride.runtime.handover.live_handover import LiveHandover
 from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
-from midstride.runtime.handover.probation import WatchedOutput, watch_after
+from midstride.runtime.handover.probation import WATCHED_WINDOW, WatchedOutput, watch_after
 from midstride.runtime.handover.state_moves import StateMoves
 from midstride.runtime.handover.state_transfers import STATE_TIMEOUT, StateTransfers, keeps_state, own_state
 from midstride.runtime.instance_life import ProcessEvent
@@ -58,8 +58,11 @@ from midstride.wire.commands import Command
 
 R = TypeVar("R")
 
-# For how long the new publishers of a brief change are watched, where the specification does not say (s).
-BRIEF_WATCH: Final = 2.0
+# The rates of a brief change are judged over so long (s), or five periods, where that is not longer than the second;
+# and they are watched for so many times as long, where the specification does not say.
+BRIEF_WINDOW: Final = 0.5
+LONGEST_BRIEF_WINDOW: Final = 2.0
+BRIEF_WATCH: Final = 1.2
 
 
 @dataclass(slots=True)
@@ -429,18 +432,24 @@ class ActionDriver:
             return
         timing = self.change.target.timing
         by_default = self.change.brief and "probation" not in timing and "watch_after" not in timing
-        by_default = by_default and any(self._rate(swap.new) for swap in action.swaps)
-        if not (seconds := BRIEF_WATCH if by_default else handover_seconds(timing, "watch_after")):
+        rates = {swap.new: self._rate(swap.new) for swap in action.swaps}
+        seconds, shortest = handover_seconds(timing, "watch_after"), WATCHED_WINDOW
+        if by_default:
+            rates = {port: rate for port, rate in rates.items() if rate * LONGEST_BRIEF_WINDOW >= FEWEST_PERIODS}
+            shortest = BRIEF_WINDOW
+            windows = [max(shortest, FEWEST_PERIODS / rate) for rate in rates.values()]
+            seconds = BRIEF_WATCH * max(windows, default=0.0)
+        if not seconds:
             return
         outputs = sorted(
             {
-                WatchedOutput(swap.new, swap.old, self.configuration.topic(swap.connector), self._rate(swap.new))
+                WatchedOutput(swap.new, swap.old, self.configuration.topic(swap.connector), rates.get(swap.new, 0.0))
                 for swap in action.swaps
             }
         )
         self.events.add("watching", f"watching {', '.join(str(each.port) for each in outputs)} for {seconds:g} s")
         slowest = max(stretch_of(self.client, each.port.instance) for each in outputs)
-        watching = asyncio.ensure_future(watch_after(self.client, outputs, seconds, slowest))
+        watching = asyncio.ensure_future(watch_after(self.client, outputs, seconds, slowest, shortest))
         try:
             await self._unless_hurried(watching, by_default)
         except StepFailed as error:

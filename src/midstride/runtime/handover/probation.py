@@ -201,9 +201,13 @@ class WatchedOutput(NamedTuple):
 
 
 async def watch_after(
-    client: ComponentClient, outputs: Iterable[WatchedOutput], seconds: float, stretch: float
+    client: ComponentClient,
+    outputs: Iterable[WatchedOutput],
+    seconds: float,
+    stretch: float,
+    shortest: float = WATCHED_WINDOW,
 ) -> None:
-    """Watch new publishers for ``seconds`` after their cut.
+    """Watch new publishers for ``seconds`` after their cut; their rates over ``shortest`` seconds, or five periods.
 
     Raises StepFailed as soon as one of them does not keep its rate while its predecessor, behind its gate, writes more,
     or raises, or does not answer any more.
@@ -221,7 +225,7 @@ async def watch_after(
 
     async def watch(output: WatchedOutput) -> None:
         port, rate, left = output.port, output.rate, seconds * stretch
-        window = max(WATCHED_WINDOW, FEWEST_PERIODS / rate if rate else 0.0)
+        window = max(shortest, FEWEST_PERIODS / rate if rate else 0.0)
         try:
             while left > 0:
                 command = AwaitRateCommand(
