@@ -123,6 +123,11 @@ class Graph:
             if self._lives(info, node) and self._process(info) not in instances
         ]
 
+    @property
+    def own_name(self) -> str:
+        """The full name of the manager's node."""
+        return str(self._node.get_fully_qualified_name())
+
     def processes(self) -> list[tuple[str, NodeProcess]]:
         """Every node that the graph shows, by its full name, with its process; none where the middleware names none.
 

@@ -59,9 +59,9 @@ def other_nodes(
     rmw, pids = graph.rmw, dict[str, set[int]]()
     if rmw.fast_dds and left:
         pids = {**families()}
-        hosts = {process.host for each in found.values() for process in each.processes.values()}
+        here = next((process.host for node, process in shown if node == graph.own_name), None)
         for each in asked:
-            _match_pids(found[each.instance], visible, pids.get(each.instance, set()), hosts)
+            _match_pids(found[each.instance], visible, pids.get(each.instance, set()), here)
     elif not rmw.fast_dds and rmw.participant is not None and any(map(_is_unlisted, asked)):
         pids = {**families()}
     answer = {}
@@ -92,31 +92,22 @@ def _own(asked: AskedProcess, shown: Iterable[tuple[str, NodeProcess]]) -> _Foun
 
 
 def _match_pids(
-    found: _Found, visible: Iterable[tuple[str, NodeProcess]], pids: Iterable[int], hosts: set[bytes | None]
+    found: _Found, visible: Iterable[tuple[str, NodeProcess]], pids: Iterable[int], here: bytes | None
 ) -> None:
-    """Take the processes of these numbers, and leave out one that only has a node of the same name elsewhere.
+    """Take the processes of these numbers on this computer, ``here``, and leave out nodes of the same name elsewhere.
 
-    A number is not whole, so where one of a process with its own node is known, no other process is taken for it.
+    A number is not whole, so where one of a process with its own node is known, no other process is taken for it. What
+    runs in a container of its own has another number there: it is known by the name of its node.
     """
     low = {pid % PIDS for pid in pids}
     known = {(process.host, process.pid): process.key for process in found.processes.values()}
-    own_hosts = {process.host for process in found.processes.values()} or hosts
     matching = {
         process.key: process
         for _, process in visible
-        if process.pid in low
-        and process.host in own_hosts
-        and known.get((process.host, process.pid), process.key) == process.key
+        if process.pid in low and process.host == here and known.get((here, process.pid), process.key) == process.key
     }
     if matching:
-        found.processes = {
-            **{key: process for key, process in found.processes.items() if process.host not in _hosts(matching)},
-            **matching,
-        }
-
-
-def _hosts(processes: Mapping[bytes, NodeProcess]) -> set[bytes | None]:
-    return {process.host for process in processes.values()}
+        found.processes = matching
 
 
 def _is_unlisted(asked: AskedProcess) -> bool:
