@@ -250,9 +250,9 @@ def results_end_with(instance: str, actions: Sequence[str], *, planned: bool) ->
     return Assessment(instance, "not_measurable", words)
 
 
-def not_looked_at(instance: str) -> Assessment:
-    """A node without Midstride's API has run for too short for its services, ROS actions and topics to be known."""
-    words = f"what of {instance} others rely on besides its ports: it had just been started"
+def not_looked_at(instance: str, because: str) -> Assessment:
+    """The services, ROS actions and other topics of a node without Midstride's API are not known."""
+    words = f"what others rely on of {instance} besides its ports: {because}"
     return Assessment(instance, "not_measurable", words)
 
 

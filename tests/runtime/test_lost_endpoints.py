@@ -63,7 +63,7 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked(tmp_
             return [each.words for each in lost_endpoints(plan, {"talker": LatestState(state, 0.0)}, {})]
 
         assert said() == []
-        assert said(looked=False) == ["what of talker others rely on besides its ports: it had just been started"]
+        assert said(looked=False) == ["what others rely on of talker besides its ports: it had just been started"]
         found = said(
             serves=["service /save"],
             calls=["ROS action /pick"],

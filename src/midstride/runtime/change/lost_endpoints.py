@@ -32,6 +32,8 @@ def lost_endpoints(
                 created.add(instance.role)
             case Remove(name):
                 own = endpoints.get(name, ())
+                if plan.change.instance(name).component.gate == "relay":  # which answers for its program, and not of it
+                    yield verdicts.not_looked_at(name, "it is behind a relay")
                 if goals := [f"ROS action {each.name}" for each in own if each.kind == "ROS action" and each.serves]:
                     yield verdicts.goals_end_with(name, goals, planned=planned)
                 called = [f"ROS action {each.name}" for each in own if each.kind == "ROS action" and not each.serves]
@@ -49,7 +51,7 @@ def _of_foreign(
     """``role``: that of a node which is replaced; None if it only ends."""
     state = latest.state
     if not state.looked:
-        yield verdicts.not_looked_at(state.instance)
+        yield verdicts.not_looked_at(state.instance, "it had just been started")
     if state.serves:
         yield verdicts.ends_with(state.instance, state.serves, planned=together is None)
     written = [each.topic for each in state.undeclared if each.output]
