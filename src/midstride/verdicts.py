@@ -106,12 +106,15 @@ def seconds_in_words(value: float) -> str:
 # -- the facts of a change, each as an assessment -----------------------------------------------------------------
 
 
-def below_level(functionality: str, seconds: float, *, at_least: bool = False) -> Assessment:
+def below_level(functionality: str, seconds: float, *, unmeasured: bool = False) -> Assessment:
     """A functionality was below its level for so long, by the modes that components have acknowledged.
 
-    ``at_least``: nothing has measured when the node that serves it now had begun its work.
+    ``unmeasured``: nothing measures when the one node has ended its work, and the other has begun it.
     """
-    words = f"{functionality} was below its level for {'at least ' if at_least else ''}{seconds_in_words(seconds)}"
+    if unmeasured:
+        words = f"{functionality} was below its level, for how long is not known: nothing counts what its node writes"
+        return Assessment(functionality, "lost", words)
+    words = f"{functionality} was below its level for {seconds_in_words(seconds)}"
     return Assessment(functionality, "lost", words, seconds)
 
 
@@ -208,15 +211,13 @@ def unmeasured_exchange(
 ) -> Assessment:
     """A node of which nothing measures what it does was started and ended.
 
-    ``down``: for how long at least neither instance was up (s): from the end of the one until the process of the other
-    was started. ``together``: for how long both ran. None: not known.
+    ``down``: how long it took from when the one was asked to end until the process of the other was started (s); they
+    did not run at once. ``together``: for how long both ran. None: not known.
     """
     words = f"what {role} does: {because}"
     if down is not None and down > 0:
-        time = (
-            f"{role} was down for at least {seconds_in_words(down)}: when its new program had started up is not known"
-        )
-        return Assessment(role, "lost", f"{time}. Not measurable here: {words}", round(down, 3))
+        time = f"exchanged within {seconds_in_words(down)}, and when its new program had started up is not known"
+        return Assessment(role, "lost", f"{role} was down, for how long is not known: {time}. {words}")
     if together is not None and done:
         words += f". It was never down: both instances ran for {seconds_in_words(together)}"
     return Assessment(role, "not_measurable", words)

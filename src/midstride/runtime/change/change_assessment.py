@@ -55,7 +55,7 @@ def reported(
     ``unmeasured``: the roles of which nothing measures when a new node has begun its work.
     """
     found: list[verdicts.Assessment | None] = [
-        verdicts.below_level(name, spent, at_least=name.partition(".")[0] in unmeasured)
+        verdicts.below_level(name, spent, unmeasured=name.partition(".")[0] in unmeasured)
         for name, spent in sorted(outcome.below_baseline_seconds.items())
     ]
     for each in outcome.remaining_degradations:
