@@ -500,6 +500,11 @@ async def stopped(robot: Robot) -> None:
         await robot.condition_names({role: f"{name} {words[role]}" for role, name in names.items()})
         for role in every:
             assert not robot.says(role, since + 2.0)
+        # It is killed when it is replaced: it could be continued at any time, and would write beside the other.
+        task = asyncio.ensure_future(robot.manager.change(PlanRequest(restart=("life",))))
+        await robot.bare.until(task.done, 60)
+        assert (task.result().outcome, [each.how for each in task.result().fenced]) == ("done", ["killed"])
+        await robot.hears("life")
     finally:
         await robot.signal(signal.SIGCONT, *every)
     await robot.hears(*every)
