@@ -161,7 +161,7 @@ class Robot:
     async def replaced(self, component: str, messages: int = 20) -> dict[str, float]:
         """Replace the talker, and hear so many messages of the new one; how long each kind of step took (s)."""
         report = await self.change(component)
-        assert (report.outcome, report.because) == ("done", None), report
+        assert (report.outcome, report.because) == ("done", None), report.because
         instances = self.manager.configuration.instances.values()
         (writer,) = (each.name for each in instances if each.role == "talker")
         await self.until(lambda: self.heard[-1][1] == writer)
