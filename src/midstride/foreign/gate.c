@@ -677,9 +677,13 @@ EXPORT int rcl_remap_node_name(const void *local, const void *global, const char
   static char first_name[NAME];
   if (!page || !global || !(node->used & NAMES_ONE) || strlen(name) >= NAME)
     return real_rcl_remap_node_name()(local, global, name, memory, remapped);
-  int result = real_rcl_remap_node_name()(local, NULL, name, memory, remapped);
-  if (result != 0 || *remapped)
-    return result;
+  /* rcl refuses to look where there are no rules at all, which is so of most programs in C: `impl` is NULL. */
+  *remapped = NULL;
+  if (local && *(void *const *)local) {
+    int result = real_rcl_remap_node_name()(local, NULL, name, memory, remapped);
+    if (result != 0 || *remapped)
+      return result;
+  }
   pthread_mutex_lock(&lock);
   if (!first_name[0])
     strcpy(first_name, name);
