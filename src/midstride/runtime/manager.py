@@ -114,10 +114,15 @@ class Manager:
         launcher.on_killed = lambda name, seconds, words: events.add("killed", words, instance=name, seconds=seconds)
         launcher.on_ending = lambda name, others: events.add("note", f"{name} is ended; with it: {others.in_words}")
         # What each of them learns of the others.
-        events.listeners.append(journal.note)
+        events.listeners += [journal.note, self._while_watching]
         commands.listeners += [self._watch.look_soon, self._keep_spares]
         reconciler.observers += [self._respawner, self._restorer]
         client.listeners += [part.on_component_event for part in (launcher, self._programs, reconciler, self._restorer)]
+
+    def _while_watching(self, event: Event) -> None:
+        """Start the next spare process while a change only watches: the command that comes next finds it ready."""
+        if event.kind == "watching":
+            self._keep_spares()
 
     def _keep_spares(self) -> None:
         """A command has ended. Where another one waits, spare processes would compete with it for the processor."""

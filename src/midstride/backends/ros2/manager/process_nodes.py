@@ -10,12 +10,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from midstride.backends.ros2 import names
-from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.middleware import PIDS, NodeProcess, RmwImplementation
 from midstride.model.instance_names import full_name
 from midstride.runtime.backend_protocol import OtherNode, OtherNodes
+
+if TYPE_CHECKING:  # it imports rclpy, which what manages gates is tested without
+    from midstride.backends.ros2.manager.graph import Graph
 
 
 @dataclass(frozen=True, slots=True)
