@@ -74,7 +74,7 @@ def test_what_costs_nothing(trial: Any, event: str, outcome: str | None) -> None
 @pytest.mark.full
 @pytest.mark.parametrize("event", ["the perception is upgraded", "the detector hangs"])
 def test_what_degrades_costs_less_than_by_quiescence_and_is_never_blind(trial: Any, event: str) -> None:
-    minimal, quiesce = (trial.run(SEED, event, strategy, after=14.0) for strategy in ("minimal", "quiesce"))
+    minimal, quiesce = (trial.run(SEED, event, strategy, after=20.0) for strategy in ("minimal", "quiesce"))
     assert minimal["said"] == quiesce["said"] == ["done"]
     assert minimal["blind"] == 0.0
     assert 0 < minimal["lost"] < quiesce["lost"]
