@@ -171,7 +171,7 @@ def test_their_transitions_are_the_steps_of_a_change(tmp_path: Path) -> None:
             assert events() == ["talker_2 configure bye 2.5", "talker_2 shutdown bye 2.5"]
 
             hung = await changed("Hanging", "talker")
-            assert hung.outcome == "rolled_back"
+            assert hung.outcome == "rolled_back", hung.because
             assert "talker_2 has not answered `activate` within 5 s; it was inactive before" in str(hung.because)
             assert [each.split()[:2] for each in events()] == [
                 ["talker_2", "configure"],

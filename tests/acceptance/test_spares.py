@@ -133,9 +133,10 @@ def test_a_component_that_is_forked_is_as_one_that_is_started(tmp_path: Path, mo
         assert status.valid and [each.pid for each in status.instances] == [component.pid]
         await manager.down()
         await manager.close()
-        lines = log.read_text().splitlines()
+        begun, shown, *lines = log.read_text().splitlines()
+        assert begun.startswith("==== talker0 was started ")
         log.unlink()
-        return json.loads(lines[0]), lines[1:]
+        return json.loads(shown), lines
 
     with ended():
         started, forked_ = run(scenario(0)), run(scenario(1))

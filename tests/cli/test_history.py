@@ -51,9 +51,9 @@ def test_a_change_is_shown_and_rolled_back(midstride: Midstride) -> None:
     assert [change["number"] for change in midstride("history", "--json", "-n", "1").json["changes"]] == [3]
     shown = midstride("history")
     assert shown.status == 0
-    replaced = next(line for line in shown.out.splitlines() if "replace talker with NewTalker" in line)
+    replaced = next(line for line in shown.out.splitlines() if "replace talker with" in line)
     total = changes[1]["total"]
-    cells = replaced.split("NewTalker")[1].split()
+    cells = replaced.split("replace talker with")[1].split()
     assert cells[:5] == ["done", "kept", "v2", f"{total}/{total}", "0"] and replaced.startswith("2  20")
     unknown = midstride("rollback", "9", "--yes")
     assert unknown.status == 1 and "the history has no version 9 of the specification" in unknown.err
@@ -81,7 +81,8 @@ def test_a_damaged_history_is_kept_aside(midstride: Midstride) -> None:
     shown, status = midstride("history"), midstride("status")
     for out in (shown.out, status.out):
         assert f"the journal {journal} was damaged (file is not a database)" in out
-        assert f"it is kept as {journal.with_name('journal.damaged.db')}" in out
+        kept = f"it is kept as {journal.with_name('journal.damaged.db')}"
+        assert kept in " ".join(out.split()), "it may take two lines"
     assert status.status == 0
 
 
@@ -98,7 +99,7 @@ def test_a_system_that_is_down_shows_what_it_has_left(midstride: Midstride, tmp_
     assert shown.status == 0 and shown.err == "(talker is down: this is what it has left)\n"
     assert shown.json["changes"] == while_up["changes"]
     assert [each["kind"] for each in shown.json["incidents"]][-1] == "down"
-    assert "replace talker with NewTalker" in midstride("history").out
+    assert "replace talker with" in midstride("history").out
     assert midstride("report", "--json").json["change"] == while_up["changes"][-1]
     assert midstride("report", "-o", str(file)).status == 0 and "NewTalker" in file.read_text()
     unknown = midstride("report", "--change", "7")
