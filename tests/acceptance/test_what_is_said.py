@@ -291,7 +291,7 @@ class Robot:
         self.cells += len(words)
 
     async def is_up(self) -> None:
-        """Wait until the status has nothing to complain of."""
+        """Wait until the status reports no problem."""
         deadline = time.monotonic() + 30
         while faults := await self._faults():
             assert time.monotonic() < deadline, faults

@@ -32,17 +32,21 @@ def manager(folder: Path, simulator: Simulator) -> Manager:
     return Manager(example("talker"), simulator, Workspace(folder), EXAMPLES / "talker")
 
 
-@pytest.mark.parametrize(("domain", "started"), [("150", 0.0), ("151", 1.0)])
-def test_nothing_is_adopted_that_could_not_be_reached(domain: str, started: float, tmp_path: Path) -> None:
-    """``started``: whether the process of the listener is the one that was started, or another one of its number."""
-    simulator = Reaching("150")
+def leave_running(folder: Path, simulator: Simulator) -> None:
+    """Bring the system up by a manager, which then ends alone."""
 
     async def main() -> None:
-        first = manager(tmp_path, simulator)
+        first = manager(folder, simulator)
         await first.up()
         await first.close()
 
     simulator.run(main())
+
+
+@pytest.mark.parametrize(("domain", "started"), [("150", 0.0), ("151", 1.0)])
+def test_nothing_is_adopted_that_could_not_be_reached(domain: str, started: float, tmp_path: Path) -> None:
+    """``started``: whether the process of the listener is the one that was started, or another one of its number."""
+    leave_running(tmp_path, Reaching("150"))
     found = saved(Workspace(tmp_path))
     assert found.reach == {"ROS_DOMAIN_ID": "150", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
     info = process_info(os.getpid())
@@ -61,14 +65,7 @@ def test_nothing_is_adopted_that_could_not_be_reached(domain: str, started: floa
 
 
 def test_a_manager_in_another_domain_refuses_to_begin(tmp_path: Path) -> None:
-    simulator = Reaching("150")
-
-    async def main() -> None:
-        first = manager(tmp_path, simulator)
-        await first.up()
-        await first.close()
-
-    simulator.run(main())
+    leave_running(tmp_path, Reaching("150"))
     info = process_info(os.getpid())
     assert info is not None
     store = StateStore(Workspace(tmp_path).state)

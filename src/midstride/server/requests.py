@@ -37,7 +37,18 @@ def _at_most(limit: float) -> FormCheck:
     return lambda value: f"it is more than {limit:g}" if value > limit else None
 
 
-class SubmittedChange(Form, frozen=True):
+class Overriding(Form, frozen=True, kw_only=True):
+    """A request that may be carried out although the system is locked, or what its changes require does not hold."""
+
+    despite_lock: bool = False
+    despite_requirements: bool = False
+
+    @property
+    def override(self) -> Override:
+        return Override(self.despite_lock, self.despite_requirements)
+
+
+class SubmittedChange(Overriding, frozen=True):
     """A request to be carried out.
 
     `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every
@@ -59,15 +70,9 @@ class SubmittedChange(Form, frozen=True):
     file: str | None = None
     id: Annotated[str, field("an id", max_length=100)] | None = None
     by: Annotated[str, field("who asks", max_length=200)] | None = None
-    despite_lock: bool = False
-    despite_requirements: bool = False
-
-    @property
-    def override(self) -> Override:
-        return Override(self.despite_lock, self.despite_requirements)
 
 
-class ParameterSetting(Form, frozen=True):
+class ParameterSetting(Overriding, frozen=True):
     """Values to set at run time, all of them or none: of the parameters of a node, by name.
 
     `by`: who asks, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although
@@ -79,12 +84,6 @@ class ParameterSetting(Form, frozen=True):
     node: NonEmptyName
     parameters: Annotated[dict[str, ValueForm], field("an object of values", min_length=1)]
     by: Annotated[str, field("who asks", max_length=200)] | None = None
-    despite_lock: bool = False
-    despite_requirements: bool = False
-
-    @property
-    def override(self) -> Override:
-        return Override(self.despite_lock, self.despite_requirements)
 
 
 class LockRequest(Form, frozen=True, kw_only=True):
