@@ -236,11 +236,11 @@ async def set_simulated_time(bare: Bare, node: str, value: bool) -> None:
     bare.node.destroy_client(client)
 
 
-async def status_when(manager: Manager, waiting: str | None) -> Status:
-    """The status, as soon as the source reports that it waits for that."""
+async def status_when(manager: Manager, waiting: str | None, instance: str = "source") -> Status:
+    """The status, as soon as the instance reports that it waits for that."""
     while True:
         status = await manager.status()
-        if {row.name: row.waiting for row in status.instances}["source"] == waiting:
+        if {row.name: row.waiting for row in status.instances}[instance] == waiting:
             return status
         await asyncio.sleep(0.02)
 
@@ -311,6 +311,7 @@ def test_answers_to_messages_are_handed_over_in_simulated_time(tmp_path: Path) -
                 numbers: list[int] = []
                 bare.node.create_subscription(String, "/answers", lambda text: numbers.append(int(text.data)), 100)
                 await bare.until(lambda: len(numbers) > 20)
+                await status_when(manager, None, "relay")  # which answers messages before it has heard of the clock
                 for component in ("OtherRelay", "Relay"):
                     changing = asyncio.ensure_future(manager.change(replace("relay", component)))
                     await bare.until(changing.done, 60.0)

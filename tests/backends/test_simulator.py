@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.simulator import Simulator, VirtualLoop, cooperative_thread, messages, virtual_loop
+from midstride.backends.simulator import PacedLoop, Simulator, VirtualLoop, cooperative_thread, messages, virtual_loop
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend_protocol import Exited, Launch
 from midstride.wire.frames import Reply
@@ -90,6 +90,41 @@ def test_what_goes_to_an_executor_is_done_at_once() -> None:
     assert virtual_loop.run(main()) == (threading.get_ident(), 0.0)
     virtual = VirtualLoop()
     virtual.close()
+
+
+def test_on_a_paced_loop_work_takes_no_time() -> None:
+    """What blocks it for longer than the next timers are away delays none of them."""
+
+    async def main() -> list[float]:
+        loop = asyncio.get_running_loop()
+        called: list[float] = []
+
+        def block() -> None:
+            before = loop.time()
+            time.sleep(0.1)
+            assert loop.time() == before
+            called.append(before)
+
+        timers = [asyncio.ensure_future(_later(at, block)) for at in (0.01, 0.02, 0.05)]
+        await asyncio.gather(*timers)
+        return called
+
+    before = time.monotonic()
+    assert virtual_loop.run(main(), PacedLoop()) == pytest.approx([0.01, 0.02, 0.05], abs=1e-6)
+    assert time.monotonic() - before >= 0.3
+
+
+async def _later(seconds: float, call: Callable[[], None]) -> None:
+    await asyncio.sleep(seconds)
+    call()
+
+
+def test_on_a_paced_loop_time_passes_while_it_waits_for_a_thread() -> None:
+    async def main() -> float:
+        await asyncio.to_thread(time.sleep, 0.05)
+        return asyncio.get_running_loop().time()
+
+    assert virtual_loop.run(main(), PacedLoop()) >= 0.04
 
 
 # -- determinism -----------------------------------------------------------------------------------

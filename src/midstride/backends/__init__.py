@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import importlib.util
-from typing import Final
+from collections.abc import Coroutine
+from typing import Any, Final, TypeVar
 
 from midstride.backends import ros1, ros2
 from midstride.errors import BackendError
@@ -13,6 +15,8 @@ from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 
 PUBLIC = "KEPT_OF_LOG LONGEST_LOG listens message_class"
+
+T = TypeVar("T")
 
 NAMES: Final = ("ros2", "ros1", "sim")
 
@@ -41,6 +45,15 @@ def make(
         case "ros1":
             return ros1.create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
     raise BackendError(f"there is no back end {name}; there are {', '.join(NAMES)}")
+
+
+def run(name: str, main: Coroutine[Any, Any, T]) -> T:
+    """``asyncio.run`` for what uses the back end ``name``: the simulator's time passes only while nothing computes."""
+    if name != "sim":
+        return asyncio.run(main)
+    from midstride.backends.simulator import PacedLoop, virtual_loop
+
+    return virtual_loop.run(main, PacedLoop())
 
 
 def available(name: str) -> bool:

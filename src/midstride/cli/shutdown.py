@@ -72,7 +72,7 @@ def _stop_left_components(workspace: Workspace) -> list[KilledProcess]:
         return []
     _say_lock(saved.lock)
     backend = backends.make(saved.backend, workspace)
-    killed, failures = asyncio.run(_stop(backend, saved.instances, saved.token))
+    killed, failures = backends.run(saved.backend, _stop(backend, saved.instances, saved.token))
     if failures:
         raise ManagerError("; ".join(failures))
     store.delete()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from midstride.backends.simulator.backend import Simulator
-from midstride.backends.simulator.virtual_loop import VirtualLoop
+from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop
 
 PUBLIC = (
     "CooperativeThread Ended ProcessOutput RequestFault SimulatedProcess SimulatedProgram SimulatedWriter Simulator "
     "ThreadYield"
 )
 
-__all__ = ["Simulator", "VirtualLoop"]
+__all__ = ["PacedLoop", "Simulator", "VirtualLoop"]

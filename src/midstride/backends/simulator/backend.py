@@ -49,8 +49,9 @@ EXIT_LATENCY: Final = 0.005
 
 
 class Simulator(Backend):
-    """``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On any other
-    asyncio loop the simulator runs in real time; call :meth:`shutdown` at the end. All times are in seconds; the same
+    """``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On a
+    :class:`PacedLoop` it keeps step with real time, and on any other asyncio loop runs in real time; call
+    :meth:`shutdown` at the end. All times are in seconds; the same
     ``seed`` gives the same run. ``logs``: the folder for the output of the components, one file for each.
     """
 

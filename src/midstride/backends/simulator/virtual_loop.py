@@ -1,13 +1,15 @@
-"""An asyncio loop in virtual time: when nothing is ready, time jumps to the next timer.
+"""Asyncio loops in virtual time: work takes none of it, and it passes only where nothing is ready.
 
-So a run of minutes takes no time, and gives the same result every time (the idea is trio's mock clock). Real sockets
-still work: they are polled before each jump.
+Then it jumps to the next timer on a :class:`VirtualLoop`, so a run of minutes takes no time, and gives the same result
+every time (the idea is trio's mock clock); real sockets still work: they are polled before each jump. On a
+:class:`PacedLoop` it passes as real time does, for whoever watches.
 """
 
 from __future__ import annotations
 
 import asyncio
 import selectors
+import time
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -57,9 +59,42 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return future
 
 
-def run(main: Coroutine[Any, Any, T]) -> T:
-    """``asyncio.run`` in virtual time."""
-    loop = VirtualLoop()
+class _PacedSelector(selectors.DefaultSelector):
+    """Waits as any other does, and calls ``advance`` with how long it was to wait, at most."""
+
+    def __init__(self, advance: Callable[[float], None]) -> None:
+        super().__init__()
+        self._advance = advance
+
+    def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
+        begun = time.monotonic()
+        ready = super().select(timeout)
+        waited = time.monotonic() - begun
+        self._advance(waited if timeout is None else min(waited, max(timeout, 0.0)))
+        return ready
+
+
+class PacedLoop(asyncio.SelectorEventLoop):
+    """Starts at 0, and keeps step with real time while the process gets a processor when it needs one.
+
+    The time in which it computes, or is kept from a processor, does not count: what is simulated on a busy machine runs
+    slower, and misses nothing for it.
+    """
+
+    def __init__(self) -> None:
+        self._paced = 0.0
+        super().__init__(_PacedSelector(self._advance))
+
+    def time(self) -> float:
+        return self._paced
+
+    def _advance(self, seconds: float) -> None:
+        self._paced += seconds
+
+
+def run(main: Coroutine[Any, Any, T], loop: asyncio.AbstractEventLoop | None = None) -> T:
+    """``asyncio.run`` on ``loop``, by default in virtual time; the loop is closed."""
+    loop = VirtualLoop() if loop is None else loop
     try:
         return loop.run_until_complete(main)
     finally:

@@ -51,7 +51,7 @@ def demo_command(name: str, backend: str | None, only: tuple[str, ...]) -> int:
     else:
         run = runpy.run_path(str(example.program))["run"](example, backend, out, only)
     try:
-        outcomes = asyncio.run(run)
+        outcomes = backends.run(backend, run)
     except asyncio.CancelledError:
         click.echo("\nInterrupted; all processes have been stopped.", err=True)
         return INTERRUPTED

@@ -87,7 +87,7 @@ def manager_command(
 
     raise_limit()
     with workspace.lock():
-        return asyncio.run(run())
+        return backends.run(backend, run())
 
 
 async def _shorten_log(log: Path) -> None:
