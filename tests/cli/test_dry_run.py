@@ -63,14 +63,20 @@ component Driver {
   output out
   functionality f { produces out  mode normal { guarantee out : std_msgs/msg/String }  mode quiet { } }
 }
+component Plain { run "python3 talk.py" gate none }
+component One { run "python3 talk.py" gate none renames talk }
 component Setup { run "true" once }
+node plain : Plain
+node one : One
 namespace front { node driver : Driver { out -> /r9 } }
 node setup : Setup
 """
     )
     (tmp_path / "talk.py").touch()
     specification = load(tmp_path / "s.stride").require()
-    driver, setup = dry_run.dry_run(specification, "ros2", tmp_path, NO_OPTIONS).processes
+    found = dry_run.dry_run(specification, "ros2", tmp_path, NO_OPTIONS)
+    described = {each.node: each for each in found.processes}
+    driver, plain, one, setup = (described[name] for name in ("front/driver", "plain", "one", "setup"))
     file = f"{tmp_path}/none/midstride/s/components/gates/parameters/front.driver.yaml"
     words = ["talk.py", "--fast", "--ros-args", "-r", "__node:=driver", "-r", "__ns:=/front", "-r", "out:=/r9"]
     assert driver.command[1:3] == ["-n", "5"] and driver.command[4:] == [*words, "--params-file", file]
@@ -78,6 +84,11 @@ node setup : Setup
     assert (driver.environment["DEBUG"], driver.environment["SECRET"]) == ("1", None)
     assert str(driver.environment["LD_PRELOAD"]).endswith(".so")
     assert (Path(setup.command[0]).name, setup.command[1:], setup.files) == ("true", [], {})
+    # Without the library, a name is for all nodes of the process unless it is stated which one is meant.
+    assert one.command[-2:] == ["-r", "talk:__node:=one"] and plain.command[-1] == "__node:=plain"
+    assert [each.node for each in found.processes if each.names_all] == ["plain"]
+    assert "\n".join(dry_run.lines(found)).count("names all nodes of a process: state `renames NAME`") == 1
     simulated = dry_run.dry_run(specification, "ros2", tmp_path, SystemOptions(use_sim_time=True))
-    assert "use_sim_time" in simulated.processes[0].files[file] and simulated.processes[1].command == setup.command
+    again = {each.node: each for each in simulated.processes}
+    assert "use_sim_time" in again["front/driver"].files[file] and again["setup"].command == setup.command
     assert not (tmp_path / "none").exists()

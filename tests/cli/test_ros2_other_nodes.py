@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.backends.ros2_support import Bare
 from tests.cli.conftest import Midstride
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
@@ -64,15 +65,20 @@ except BaseException:
 ROBOT = """system several
 topic /gated/said : std_msgs/msg/String
 topic /relayed/said : std_msgs/msg/String
+topic /apart/said : std_msgs/msg/String
 component Gated {
   run "python3 several.py gated" gate preload
   output out as /gated/said
   functionality f { produces out mode normal { guarantee out : std_msgs/msg/String } mode degraded { } }
 }
 component Relayed like Gated { run "python3 several.py relayed" gate relay output out as /relayed/said }
+component Apart like Relayed { run "python3 several.py apart" gate relay unnamed output out as /apart/said }
+component Part { run "python3 several.py part" gate none renames part_first }
 component Box { run "python3 several.py box" gate none unnamed }
 node gated : Gated { out -> /gated/said }
 node relayed : Relayed { out -> /relayed/said }
+node apart : Apart { out -> /apart/said }
+node part : Part
 node box : Box
 """
 
@@ -89,6 +95,23 @@ def listed(midstride: Midstride, name: str) -> dict[str, Any]:
     return {each["name"]: (each["publishes"], each["serves"]) for each in found["other_nodes"]}
 
 
+def nodes_that_write(topic: str) -> set[str]:
+    """The names of the living nodes that publish there, directly or through a relay."""
+    found: set[str] = set()
+    with Bare("looker") as bare:
+
+        def look() -> bool:
+            topics = [
+                name for name, _ in bare.node.get_topic_names_and_types() if name.startswith("/_midstride/relay/")
+            ]
+            infos = [each for name in (topic, *topics) for each in bare.node.get_publishers_info_by_topic(name)]
+            found.update(f"/{each.node_name}" for each in infos if each.node_name.startswith("apart"))
+            return len(found) == 2
+
+        until(look, f"{found} write on {topic}")
+    return found
+
+
 def test_every_node_of_a_process_is_listed_and_ended_only_where_it_is_meant(
     midstride: Midstride, tmp_path: Path
 ) -> None:
@@ -101,9 +124,12 @@ def test_every_node_of_a_process_is_listed_and_ended_only_where_it_is_meant(
     of_box = {"/box_second", "/box_third", "/child_first"}
     until(lambda: listed(midstride, "box").keys() == of_box, str(listed(midstride, "box")))
     until(lambda: listed(midstride, "box")["/box_second"] == (["/box/other"], []), "what it does is not known")
-    # The library has the name reach its own node only; nothing can do so behind a relay.
+    # The library has the name reach its own node only. Behind a relay it is for all nodes, unless they keep theirs.
     until(lambda: listed(midstride, "gated") == {"/gated_second": (["/gated/other"], [])}, "it has another name")
     until(lambda: listed(midstride, "relayed") == {"/relayed": ([], [])}, str(listed(midstride, "relayed")))
+    until(lambda: listed(midstride, "apart") == {"/apart_second": (["/apart/other"], [])}, "it has another name")
+    # Where it is stated what the program calls its node, the name is for that one alone.
+    until(lambda: listed(midstride, "part") == {"/part_second": (["/part/other"], [])}, "it has another name")
     shown = midstride("status").out
     assert "also node /box_third" in shown and "a second node of this name" in shown, shown
     # What others load after the start counts, and is in the refusal at once.
@@ -122,8 +148,9 @@ def test_every_node_of_a_process_is_listed_and_ended_only_where_it_is_meant(
     ):
         done = midstride(*words)
         assert done.status == 1 and "of the same process" in done.out + done.err, done.out + done.err
+        assert ("state `renames NAME`" in done.out + done.err) == ("relayed" in words), done.out + done.err
     # Where they are meant, plan and report say what becomes of each.
-    done = midstride("restart", "box", "gated", "--yes", "--with-other-nodes", "--json", timeout=60)
+    done = midstride("restart", "box", "gated", "apart", "--yes", "--with-other-nodes", "--json", timeout=60)
     assert done.status == 0, done.out + done.err
     assert done.json["plan"]["continuity"]["verdict"] == "lost"
     found = {each["subject"]: each for each in done.json["continuity"]["found"]}
@@ -133,6 +160,9 @@ def test_every_node_of_a_process_is_listed_and_ended_only_where_it_is_meant(
     assert "gated_2 has such a node" in found["/gated_second"]["words"]
     until(lambda: listed(midstride, "gated") == {"/gated_second": (["/gated/other"], [])}, "it has another name")
     until(lambda: listed(midstride, "box").keys() == of_box, str(listed(midstride, "box")))
+    # The second instance behind the relay has another name meanwhile, and its further node keeps its own.
+    until(lambda: listed(midstride, "apart") == {"/apart_second": (["/apart/other"], [])}, "it has another name")
+    assert nodes_that_write("/apart/said") == {"/apart_first_2", "/apart_2_relay"}
     # A crash ends them all, and says so.
     [box] = [each for each in midstride("status", "--json").json["instances"] if each["role"] == "box"]
     os.kill(box["pid"], signal.SIGKILL)

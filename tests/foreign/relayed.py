@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any, ClassVar, TypeVar
 
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
+from midstride.backends.ros2.manager.own_names import StartName
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.virtual_clock import SimulatedTimer
 from midstride.foreign.graph_check import GraphEndpoint
@@ -93,7 +94,7 @@ class SimulatedRelays(Simulator):
     async def start(self, launch: Launch) -> Handle:
         component, node = launch.foreign, full_name(launch.instance, launch.namespace)
         assert component is not None and component.gate == "relay"
-        order = self._foreign.prepare_relay(launch, component, node, ["program"], {})
+        order = self._foreign.prepare_relay(launch, component, StartName(node), ["program"], {})
         command = ("python3", "-m", "tests.foreign.relayed", str(order))
         return await super().start(replace(launch, arguments=command, foreign=None))
 

@@ -295,9 +295,49 @@ def test_a_node_that_its_program_names_gets_what_launch_gives_it(
         started(role, running="/talk")
 
 
-@pytest.mark.parametrize("gate", ["gate relay unnamed", "unnamed"])
-def test_only_some_gates_have_a_node_without_a_name(gate: str, tmp_path: Path) -> None:
-    text = (COMPONENT % "").replace("gate preload", gate) + "node n : C\n"
+@pytest.mark.parametrize("gate", ["preload", "relay", "lifecycle", "lifecycle preload", "none"])
+def test_a_program_behind_any_gate_may_name_its_node(gate: str, tmp_path: Path) -> None:
+    text = (COMPONENT % "").replace("gate preload", f"gate {gate} unnamed") + "node n : C\n"
+    made = loaded(tmp_path, text, {})
+    assert made is not None and made.components["C"].unnamed
+
+
+@pytest.mark.parametrize("gate", ["preload", "relay", "lifecycle", "lifecycle preload", "none"])
+def test_one_node_of_several_is_named_where_it_is_stated_what_its_program_calls_it(gate: str, tmp_path: Path) -> None:
+    text = (COMPONENT % "").replace("gate preload", f"gate {gate} renames cam") + "namespace a { node n : C }\n"
+    made = loaded(tmp_path, text, {})
+    assert made is not None
+    assert decode_specification(encode_specification(made)) == made
+    nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path), lambda node: None)
+    launch = Launch("a/n_2", "a", (), "t", tmp_path, role="a/n")
+    component = made.components["C"]
+    name = nodes.start_name(launch, component, lambda _: False)
+    assert (name.full, name.passed) == ("/a/n_2", True)
+    assert nodes.arguments(launch, component, name)[:5] == ["--ros-args", "-r", "cam:__node:=n_2", "-r", "__ns:=/a"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "message"),
+    [
+        (
+            "renames cam",
+            "C `renames cam`, but has no gate: it uses Midstride's API, which names its node after its role",
+        ),
+        ("gate none unnamed renames cam", "C is `unnamed`, so its node keeps its name, and yet it `renames cam`"),
+    ],
+)
+def test_what_does_not_fit_the_name_of_a_node_is_refused(stated: str, message: str, tmp_path: Path) -> None:
+    text = (COMPONENT % "").replace("gate preload", stated) + "node n : C\n"
     assert loaded(tmp_path, text, {}) is None
     fault = load(tmp_path / "s.stride").diagnostics[0]
-    assert (fault.code, "`unnamed`" in fault.message) == ("E027", True)
+    assert (fault.code, fault.message) == ("E027", message)
+
+
+def test_a_component_with_the_api_is_named_by_it(tmp_path: Path) -> None:
+    text = (COMPONENT % "").replace("gate preload", "unnamed") + "node n : C\n"
+    assert loaded(tmp_path, text, {}) is None
+    fault = load(tmp_path / "s.stride").diagnostics[0]
+    assert (fault.code, fault.message) == (
+        "E027",
+        "C is `unnamed`, but has no gate: it uses Midstride's API, which names its node after its role",
+    )

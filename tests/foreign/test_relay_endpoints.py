@@ -11,10 +11,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from msgspec import structs
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout, NodeError
-from midstride.foreign import relay_endpoints
+from midstride.foreign import own_node_search, relay_endpoints
 from midstride.foreign.graph_check import ENDPOINTS_TIMEOUT, GraphEndpoint
 from midstride.foreign.relay_endpoints import ADVERTISES, ProgramEndpoints
 from midstride.foreign.relayed_program import RelayOrder, private_topics
@@ -58,6 +59,7 @@ class Time:
 def time(monkeypatch: pytest.MonkeyPatch) -> Time:
     made = Time()
     monkeypatch.setattr(relay_endpoints, "time", made)
+    monkeypatch.setattr(own_node_search, "time", made)
     return made
 
 
@@ -89,6 +91,37 @@ def endpoints(
         return published(PRIVATE) in (graph(time.now) or ())
 
     return ProgramEndpoints(order, component, program, lambda: graph(time.now), {"out": matched}, late)
+
+
+@pytest.mark.parametrize(
+    ("expected", "shown", "node", "at"),
+    [
+        ("", {1: ["/talk"]}, "/talk", 1.0),
+        ("", {1: ["/_hidden"], 2: ["/talk/costmap", "/talk", "/other"]}, "/talk", 2.0),
+        ("/talk", {1: ["/a"], 2: ["/a", "/talk"]}, "/talk", 2.0),
+        ("/talk", {1: ["/a"], 4: ["/a", "/talk"]}, "/a", 3.0),  # its program names it otherwise by now
+        ("/talk_2", {1: ["/talk_2"]}, "/talk_2", 1.0),
+    ],
+)
+def test_the_node_of_a_program_that_names_it_is_found(
+    expected: str, shown: dict[int, list[str]], node: str, at: float, tmp_path: Path, time: Time
+) -> None:
+    def nodes() -> Sequence[str]:
+        return next((names for since, names in reversed(shown.items()) if time.now >= since), ())
+
+    made = endpoints(tmp_path, time, lambda _: None)
+    order = structs.replace(made.order, node=expected, enclave="/midstride/e")
+    assert replace(made, order=order, nodes=nodes).own_node() == node
+    assert at <= time.now < at + 0.1
+
+
+def test_a_program_that_has_no_node_in_its_enclave_is_refused(tmp_path: Path, time: Time) -> None:
+    made = endpoints(tmp_path, time, lambda _: None)
+    order = structs.replace(made.order, node="", enclave="/midstride/e")
+    with pytest.raises(NodeError, match=r"no node in its enclave 20 s after `throttle` was started: .* the enclave am"):
+        replace(made, order=order).own_node()
+    with pytest.raises(NodeError, match="`throttle` has exited with status 3"):
+        replace(endpoints(tmp_path, time, lambda _: None, status=3), order=order).own_node()
 
 
 @pytest.mark.parametrize("late", [False, True])

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 from immutables import Map
+from msgspec import structs
 
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes, ros_arguments
-from midstride.backends.ros2.manager.own_names import StartName
+from midstride.backends.ros2.manager.own_names import OwnNames, StartName
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import PlanRefused, StepFailed
 from midstride.foreign.page import Page
@@ -35,6 +37,7 @@ from midstride.runtime.manager_clock import SystemClock
 from midstride.wire.commands import AwaitMatchCommand
 from midstride.wire.replies import Attached
 from midstride.wire.sockets import SocketFolder
+from midstride.wire.state import ComponentState
 
 TEXT = """system chat
 
@@ -139,13 +142,63 @@ def test_what_the_program_is_started_with(tmp_path: Path) -> None:
     assert ros_arguments(replace(launch, topics={}), component, StartName("/talker")) == ["--ros-args", *name]
 
 
+def test_a_relay_says_how_a_program_calls_its_node_and_a_replacement_is_renamed(tmp_path: Path) -> None:
+    text = TEXT.partition("component Other")[0].replace("gate preload", "gate relay unnamed")
+    specification = parsed(text, tmp_path)
+    launch, component = launched("Talker", specification, "robot1"), specification.components["Talker"]
+    launch = replace(launch, role="robot1/talker")
+    state = ComponentState(
+        instance="robot1/talker",
+        uuid="u",
+        pid=1,
+        revision=0,
+        functionalities={},
+        ports={},
+        parameters={},
+        stopping=0.0,
+    )
+
+    async def scenario() -> None:
+        made = partial(ForeignNodes, tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)
+        nodes = made()
+        name = nodes.start_name(launch, component, lambda _: False)
+        path = nodes.prepare_relay(launch, component, name, ["program"], {})
+        order = RelayOrder.read(path)
+        assert (order.node, order.unnamed, order.enclave) == (
+            "",
+            True,
+            order.command[order.command.index("--enclave") + 1],
+        )
+        assert not any("__node" in word for word in order.command)
+        assert nodes.node_of("robot1/talker") == ""
+        structs.replace(order, node="/robot1/talk").write(path)  # as the relay does
+        nodes.note(state)
+        assert nodes.runs("/robot1/talk") and nodes.node_of("robot1/talker") == "/robot1/talk"
+        await nodes.close()
+        # The next manager knows it as well; the second instance is renamed alone, and is found by that name.
+        another = made()
+        await another.adopt("robot1/talker")
+        assert another.runs("/robot1/talk")
+        second = replace(launch, instance="robot1/talker_2")
+        name = another.start_name(second, component, another.runs)
+        assert name == StartName("/robot1/talk_2", original="/robot1/talk")
+        order = RelayOrder.read(another.prepare_relay(second, component, name, ["program"], {}))
+        assert order.command[2:4] == ["-r", "talk:__node:=talk_2"]
+        assert (order.node, order.unnamed, bool(order.enclave)) == ("/robot1/talk_2", False, True)
+        another.note(structs.replace(state, instance="robot1/talker_2"))
+        assert OwnNames(tmp_path / "gates").known("robot1/talker") == "/robot1/talk"
+        await another.close()
+
+    asyncio.run(scenario())
+
+
 def test_a_relayed_program_gets_private_topics_for_its_outputs(tmp_path: Path) -> None:
     specification = parsed(TEXT.partition("component Other")[0].replace("gate preload", "gate relay"), tmp_path)
     launch, component = launched("Talker", specification, "robot1"), specification.components["Talker"]
 
     async def scenario() -> None:
         nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)
-        path = nodes.prepare_relay(launch, component, "/robot1/talker", ["program", "--loud"], {"A": "1"})
+        path = nodes.prepare_relay(launch, component, StartName("/robot1/talker"), ["program", "--loud"], {"A": "1"})
         order = RelayOrder.read(path)
         private = {port: f"/_midstride/relay/robot1/talker/{port}" for port in ("out", "log")}
         assert (order.node, order.topics, order.environment) == ("/robot1/talker", private, {"A": "1"})

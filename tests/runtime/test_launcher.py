@@ -527,5 +527,10 @@ def test_a_program_without_the_api_is_started_on_its_topics_under_its_own_name(t
         relayed = changed(CAMERA, component=changed(CAMERA.component, gate="relay"), name="front/camera_4")
         assert await b.launcher.start(relayed)
         assert b.backend.launches[-1].node == "front/camera_4_relay"
+        unnamed = changed(relayed, component=changed(relayed.component, unnamed=True), name="front/camera_5")
+        with pytest.raises(
+            StartFailed, match=r"the back end ros1 passes each program the name of its node: omit `unnamed`"
+        ):
+            await b.launcher.start(unnamed)
 
     bench(NOTHING, tmp_path, body)

@@ -224,6 +224,8 @@ declare namespace Api {
     once?: boolean;
     /** whether its program gives its node its name itself */
     unnamed?: boolean;
+    /** what its program calls it */
+    renames?: string;
     /** what its program calls the topics of its ports */
     topics?: Record<string, string>;
     /** the outputs that exist only while something subscribes to them */
@@ -692,6 +694,8 @@ declare namespace Api {
     once?: boolean;
     /** whether its program gives its node its name itself */
     unnamed?: boolean;
+    /** what its program calls it */
+    renames?: string;
     /** what its program calls the topics of its ports */
     topics?: Record<string, string>;
     /** the outputs that exist only while something subscribes to them */

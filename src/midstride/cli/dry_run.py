@@ -17,7 +17,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
 from midstride.plan.strategies.registry import planner
-from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.backend_protocol import NAMES_ALL, Backend
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.launches import launch_of
 from midstride.runtime.workspace import Workspace
@@ -53,6 +53,7 @@ class DescribedStart(Report, frozen=True, kw_only=True):
     ]
     files: Annotated[dict[str, str], Meta(description="that would be written for it, with their texts")]
     because: str | None
+    names_all: Annotated[bool, Meta(description="all nodes of the process would get its name, if it has several")]
 
 
 class DryRun(Report, frozen=True, kw_only=True):
@@ -115,6 +116,7 @@ def _described(
         environment=environment,
         files=files,
         because=because,
+        names_all=not instance.component.preloads and any(word.startswith("__node:=") for word in command),
     )
 
 
@@ -129,6 +131,8 @@ def lines(found: DryRun) -> Iterator[str]:
             yield f"   cannot be started: {each.because}"
             continue
         yield f"   {shlex.join(each.command)}"
+        if each.names_all:
+            yield f"   where {NAMES_ALL}, if it has several"
         yield f"   in {each.directory}"
         for name, value in each.environment.items():
             yield f"   without {name}" if value is None else f"   with {name}={shlex.quote(value)}"

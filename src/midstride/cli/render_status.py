@@ -12,6 +12,7 @@ from midstride.cli.changed_programs import code_words, other_overlay
 from midstride.cli.input_files import as_typed_here
 from midstride.cli.render import UNKNOWN, hertz, seconds, table
 from midstride.codec.parameter import from_json
+from midstride.runtime.backend_protocol import NAMES_ALL
 from midstride.runtime.records.status_forms import (
     ChangeLock,
     FunctionalityStatus,
@@ -95,7 +96,7 @@ def _others(component: InstanceStatus) -> Iterable[tuple[Text, Text, Text]]:
     for each in component.other_nodes:
         why = "of the same process"
         if each.namesake:
-            why = "a second node of this name, as `__node:=` names all nodes of a process: see `unnamed`"
+            why = f"a second node of this name, as {NAMES_ALL}"
         yield Text(f"also node {each.name}"), Text(""), Text(why, style="dim")
     if component.other_nodes_unknown:
         words = f"other nodes of its process are not known: {component.other_nodes_unknown}"

@@ -232,6 +232,12 @@ class ComponentForm(Form, frozen=True):
     gate: Annotated[Gate, field("a gate", "what holds it back; none: it uses Midstride's API")] | UnsetType = UNSET
     once: Annotated[bool, field("true or false", "its program ends when it has done its work")] = False
     unnamed: Annotated[bool, field("true or false", "whether its program gives its node its name itself")] = False
+    renames: (
+        Annotated[
+            str, Meta(min_length=1, extra_json_schema=named()), field("the name of a node", "what its program calls it")
+        ]
+        | UnsetType
+    ) = UNSET
     topics: Annotated[
         dict[str, Annotated[str, field("the name of a topic", min_length=1)]],
         field("an object of names of topics", "what its program calls the topics of its ports"),
@@ -267,6 +273,7 @@ class ComponentForm(Form, frozen=True):
             gate=UNSET if component.once and component.gate == "none" else component.gate or UNSET,
             once=component.once,
             unnamed=component.unnamed,
+            renames=component.renames or UNSET,
             topics=dict(sorted(component.topics.items())),
             lazy=sorted(component.lazy),
         )
@@ -291,6 +298,7 @@ class ComponentForm(Form, frozen=True):
             gate=given(self.gate) or ("none" if self.once else None),
             once=self.once,
             unnamed=self.unnamed,
+            renames=given(self.renames),
             topics=self.topics,
             activate_seconds=given(self.activate_seconds),
             stop=None if self.stop_seconds is UNSET else self.stop_seconds.times(),

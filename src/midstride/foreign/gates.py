@@ -54,7 +54,8 @@ class Gates:
         self._entries = dict(zip(self._names, self.page.ports(self.index), strict=True))
         if not listed:
             self.page.layout.nodes[self.index].used |= LISTS
-        if not self.component.unnamed:  # else the name is passed for one node only, or none
+        # Else the name is passed for one node only, or none.
+        if not self.component.unnamed and self.component.renames is None:
             self.page.layout.nodes[self.index].used |= NAMES_ONE
         baton = self.page.new_baton(self.index)
         for port in self._names:

@@ -17,8 +17,11 @@ import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NoReturn
+
+import msgspec
 
 from midstride.errors import MidstrideError, NodeError
 from midstride.foreign.gated_reflex import inputs_of
@@ -55,6 +58,7 @@ class RelayPlatform:
     ``decoder``: reads such messages of a type, of which only some are, and only where the contract constrains fields.
     ``advertises_late``: a program may create a publisher only when it has something to publish, so none is waited for.
     ``parameters``: sets those of the program's node; called on the data thread. None where there is no such service.
+    ``nodes``: the full names of the nodes in an enclave; None where the platform has no enclaves.
     """
 
     host: Callable[[ProcessContext], Host]
@@ -63,6 +67,7 @@ class RelayPlatform:
     graph: Callable[[Host, RelayOrder], Sequence[GraphEndpoint] | None]
     advertises_late: bool = False
     parameters: Callable[[Host, RelayOrder], ParameterSetter] | None = None
+    nodes: Callable[[Host, str], Sequence[str]] | None = None
 
 
 def patient(qos: QoS, rate: float | None) -> QoS:
@@ -121,10 +126,12 @@ class RelayedFunctionality(Functionality):
 
 
 class RelayComponent:
-    """The component of ``order``."""
+    """The component of ``order``, which is written into the file ``path`` once its program's node is known."""
 
-    def __init__(self, order: RelayOrder, program: RelayedProgram, platform: RelayPlatform) -> None:
-        self.order, self.program = order, program
+    def __init__(
+        self, order: RelayOrder, program: RelayedProgram, platform: RelayPlatform, path: Path | None = None
+    ) -> None:
+        self.order, self.program, self._path = order, program, path
         self.component = component = order.declaration.declared()
         self._platform = platform
         self._type_of = type_of = platform.type_of
@@ -195,8 +202,12 @@ class RelayComponent:
         return DeclaredMode(mode.name, driven, enter, None, assumptions, outputs, guarantees, handlers)
 
     def _set_up(self, _: object) -> None:
-        """Before it registers: the program has the endpoints that are declared. Raises NodeError."""
+        """Before it registers: the program has the endpoints that are declared. Raises NodeError, BackendError."""
         assert self.host is not None
+        if self.order.enclave:
+            self.order = msgspec.structs.replace(self.order, node=self._program_endpoints().own_node())
+            if self._path is not None:
+                self.order.write(self._path)
         for relay in self.relays.values():
             relay.subscribe(self.host)
         if self._platform.parameters is not None and self.parts.callbacks.before_modes is not None:
@@ -219,6 +230,7 @@ class RelayComponent:
             lambda: platform.graph(host, self.order),
             {name: lambda relay=relay: relay.matched for name, relay in self.relays.items()},  # type: ignore[misc]
             platform.advertises_late,
+            (lambda: ()) if platform.nodes is None else partial(platform.nodes, host, self.order.enclave),
         )
 
     def run(self) -> None:
@@ -250,7 +262,7 @@ def run_relay(platform: RelayPlatform) -> NoReturn:
     program, status = None, 1
     try:
         program = RelayedProgram(order)
-        RelayComponent(order, program, platform).run()
+        RelayComponent(order, program, platform, Path(sys.argv[1])).run()
         status = 0
     except MidstrideError as error:
         print(f"the relay of {order.node} ends: {error}", file=sys.stderr, flush=True)

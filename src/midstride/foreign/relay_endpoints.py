@@ -11,12 +11,12 @@ from typing import Final
 
 from midstride.errors import BackendError, NodeError
 from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, endpoints_seconds
+from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
 from midstride.model.component import ComponentSpec
 
 # How long a node that may advertise later is given to do so at once (s); then it is watched.
 ADVERTISES: Final = 1.0
-_LOOK: Final = 0.05
 _WATCH: Final = 1.0
 
 
@@ -26,7 +26,7 @@ class ProgramEndpoints:
 
     ``graph`` may raise BackendError, and is then asked again. ``matched``: by output, whether its relay is connected
     with a publisher of the program. ``late``: the program may create a publisher only when it has something to publish,
-    so none is waited for.
+    so none is waited for. ``nodes``: the full names of the nodes of a program that gives its node its name itself.
     """
 
     order: RelayOrder
@@ -35,6 +35,17 @@ class ProgramEndpoints:
     graph: Callable[[], Sequence[GraphEndpoint] | None]
     matched: Mapping[str, Callable[[], bool]]
     late: bool
+    nodes: Callable[[], Sequence[str]] = tuple
+
+    def own_node(self) -> str:
+        """Return the full name of the node that the program has named itself. Raises NodeError where it has none."""
+        search = OwnNodeSearch(self.order.node, endpoints_seconds(self.component))
+        while not search.look(self.nodes()):
+            self._require_running()
+            time.sleep(NODE_LOOK)
+        if not search.node:
+            raise NodeError(self._without_node("no node in its enclave", "the enclave"))
+        return search.node
 
     def wait(self) -> None:
         """Return once the program has what is declared. Raises NodeError, at once where it cannot come true."""
@@ -55,7 +66,7 @@ class ProgramEndpoints:
                 break
             if now - begun >= endpoints_seconds(self.component):
                 break
-            time.sleep(_LOOK)
+            time.sleep(NODE_LOOK)
         if faults := self._faults(missing, found, unread):
             raise NodeError("; ".join(faults))
 
@@ -115,11 +126,7 @@ class ProgramEndpoints:
         if unread:
             return [f"what {self.order.node} has is not known: {unread}"]
         if found is None and (missing or self.late):
-            program = self.order.command[0]
-            waited = endpoints_seconds(self.component)
-            words = f"there is no node {self.order.node} {waited:.3g} s after `{program}` was started"
-            late = f"if it needs longer, state `takes {2 * waited:g} s` after its `run` command"
-            return [f"{words}: a program behind a relay must accept ROS's arguments, its name among them; {late}"]
+            return [self._without_node(f"no node {self.order.node}", "its name")]
         declared, shown = self._declared, found or ()
         there = declared.unseen(shown, missing)
         waited = endpoints_seconds(self.component)
@@ -128,3 +135,9 @@ class ProgramEndpoints:
         if missing and not faults:
             faults = [f"the messages of {', '.join(missing)} cannot be received"]
         return faults
+
+    def _without_node(self, what: str, argument: str) -> str:
+        waited = endpoints_seconds(self.component)
+        words = f"there is {what} {waited:.3g} s after `{self.order.command[0]}` was started"
+        late = f"if it needs longer, state `takes {2 * waited:g} s` after its `run` command"
+        return f"{words}: a program behind a relay must accept ROS's arguments, {argument} among them; {late}"

@@ -30,6 +30,9 @@ _PR_SET_PDEATHSIG: Final = 1
 class RelayOrder(WireValue, frozen=True, kw_only=True):
     """The program that a relay runs: ``command``, whose node has the full name ``node``.
 
+    ``enclave``: that of the process of a program that gives its node its name itself; the node is found in it, and
+    ``node`` is the name that is expected until then, empty where none is known. ``unnamed``: it was not passed a name.
+    ``role``: what it is an instance of.
     ``topics``: by port, the full name of the topic that the program uses, which for an output is private.
     ``real``: by output that is attached, the topic on which the relay publishes. ``environment``: the variables that
     are others for the program than for the relay; None: it has none. ``stated``: the parameters that the specification
@@ -43,6 +46,9 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
     environment: dict[str, str | None] = {}
     real: dict[str, str] = {}
     stated: dict[str, Any] = {}
+    enclave: str = ""
+    unnamed: bool = False
+    role: str = ""
 
     @property
     def stop(self) -> StopTimes:
@@ -53,7 +59,9 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
         """Raises BackendError."""
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            path.write_bytes(msgspec.json.encode(self))
+            new = path.with_suffix(".new")
+            new.write_bytes(msgspec.json.encode(self))
+            new.replace(path)
         except OSError as error:
             raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
 

@@ -204,6 +204,7 @@ class ComponentBuilder:
             ),
             once=run is not None and run.once is not None,
             unnamed=run is not None and run.unnamed,
+            renames=None if run is None or run.renames is None else run.renames.text,
             topics={own.name.text: own.topic.text for own in declaration.topics},
             activate_seconds=None if run is None or run.activate is None else run.activate.value,
             stop=None if run is None or run.stop is None else _stop_times(run.stop),

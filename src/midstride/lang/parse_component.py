@@ -79,7 +79,9 @@ class ComponentParser(ContractParser):
         once = word if self.accept_word("once") else None
         gate = self._gate() if self.accept_word("gate") else None
         unnamed = self.accept_word("unnamed")
-        return syntax.Run(command, package, prefix, startup, activate, stop, gate, once, unnamed, self.since(start))
+        renames = self.name("what the program calls its node after `renames`") if self.accept_word("renames") else None
+        span = self.since(start)
+        return syntax.Run(command, package, prefix, startup, activate, stop, gate, once, unnamed, renames, span)
 
     def _stop(self) -> syntax.StopClause:
         start = self.i - 1

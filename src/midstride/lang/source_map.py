@@ -125,6 +125,8 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return output.span
         case ["unnamed"] if run is not None:
             return run.span
+        case ["renames"] if run is not None and run.renames is not None:
+            return run.renames.span
         case ["gate"] if run is not None and run.gate is not None:
             return run.gate.span
         case ["once", *_] if run is not None and run.once is not None:

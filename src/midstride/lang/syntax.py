@@ -113,6 +113,7 @@ class Run(NamedTuple):
     gate: Name | None
     once: Span | None
     unnamed: bool
+    renames: Name | None
     span: Span
 
 

@@ -247,7 +247,8 @@ class ComponentSpec:
     start takes (s), where known. ``tolerates``: how many missed messages in succession an input tolerates, where
     stated; ``conditions``: the inputs whose last message decides whether what they assume holds.
     ``gate``: what holds back the outputs of a program that does not use Midstride's API (None: it does use it);
-    ``unnamed``: such a program gives its node its name itself, and is not passed one; and
+    ``unnamed``: such a program gives its node its name itself, and is not passed one; ``renames``: what it calls the
+    node that is to be named, where its process has others, which keep their names; and
     ``topics`` the names that such a program has for its ports, where they are not the ports' own. Of such a program,
     ``stop`` is how it is ended, ``activate_seconds`` how long a lifecycle node may take to become active (s), where
     stated, and ``lazy`` are the outputs that exist only while something subscribes to them.
@@ -269,6 +270,7 @@ class ComponentSpec:
     conditions: frozenset[str] = frozenset()
     gate: Gate | None = None
     unnamed: bool = False
+    renames: str | None = None
     topics: Map[str, str] = field(default_factory=Map)
     package: str | None = None
     prefix: str | None = None
@@ -310,6 +312,7 @@ class ComponentSpec:
         conditions: Iterable[str] = (),
         gate: Gate | None = None,
         unnamed: bool = False,
+        renames: str | None = None,
         topics: Mapping[str, str] | None = None,
         package: str | None = None,
         prefix: str | None = None,
@@ -337,6 +340,7 @@ class ComponentSpec:
             conditions=frozenset(conditions),
             gate=gate,
             unnamed=unnamed,
+            renames=renames,
             topics=Map(topics or {}),
             package=package,
             prefix=prefix,
@@ -445,6 +449,7 @@ class ComponentSpec:
             self.gate,
             self.once,
             self.unnamed,
+            self.renames,
             self.topics,
             self.lazy,
         )

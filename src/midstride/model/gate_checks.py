@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 from midstride.model.component import ComponentSpec, value_fits, value_kind
@@ -10,6 +11,7 @@ from midstride.model.lifecycle_management import managed_nodes
 from midstride.model.specification import Node, Specification
 
 _CODE = "E027"
+_NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def _once(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
@@ -44,10 +46,7 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
     yield from _of_a_program(component, path)
     if component.once:
         yield from _once(component, path)
-    if component.unnamed and component.gate in (None, "relay"):
-        message = f"{name} is `unnamed`, and has no gate but one that knows its program by the name of its node"
-        help = "name the node, or write `gate preload unnamed`: a program gives its node its name itself only there"
-        yield Problem(_CODE, (*path, "unnamed"), message, help)
+    yield from _named(component, path)
     if component.gate is None:
         return
     if component.run is None and not component.once:
@@ -73,6 +72,25 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         if declared.changeable:
             message = f"parameter {parameter} of {name} cannot be set in place: {name} does not use Midstride's API"
             yield Problem(_CODE, (*path, "parameters", parameter), message, "omit `changeable`")
+
+
+def _named(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
+    """Yield what is stated of the name of its node, and does not fit."""
+    name, renames = component.name, component.renames
+    if renames is not None and component.unnamed:
+        message = f"{name} is `unnamed`, so its node keeps its name, and yet it `renames {renames}`"
+        yield Problem(_CODE, (*path, "renames"), message, "omit one of the two")
+    if renames is not None and not _NODE_NAME.fullmatch(renames):
+        message = f"{name} renames the node {renames!r}, which is no name of a node"
+        yield Problem(_CODE, (*path, "renames"), message, "letters, digits and underscores, and no namespace")
+    stated = {"unnamed": "is `unnamed`" if component.unnamed else "", "renames": renames and f"`renames {renames}`"}
+    for key, what in stated.items():
+        if what and component.gate is None:
+            message = f"{name} {what}, but has no gate: it uses Midstride's API, which names its node after its role"
+            help = (
+                f'omit it, or state the gate: `run "…" gate preload {key}{f" {renames}" if key == "renames" else ""}`'
+            )
+            yield Problem(_CODE, (*path, key), message, help)
 
 
 def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:

@@ -143,6 +143,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         ("prefix", before.prefix, after.prefix),
         ("gate", before.gate, after.gate),
         ("unnamed", before.unnamed, after.unnamed),
+        ("renames", before.renames, after.renames),
         ("activate", before.activate_seconds, after.activate_seconds),
         ("stop", _stop(before), _stop(after)),
         ("once", before.once or None, after.once or None),

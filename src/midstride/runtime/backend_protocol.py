@@ -24,6 +24,11 @@ from midstride.wire.transport import Transport
 
 # What the name of a relay's node has after the name of its instance, which is that of the program's node.
 RELAY_SUFFIX: Final = "_relay"
+# Why nodes of one process have one name, and what to write. The preloaded library names one node alone.
+NAMES_ALL: Final = (
+    "`__node:=` names all nodes of a process: state `renames NAME` with what the program calls the one that is meant, "
+    "or `unnamed`"
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from midstride import verdicts
 from midstride.model.action import Create, Remove
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
-from midstride.runtime.backend_protocol import OtherNode, OtherNodes
+from midstride.runtime.backend_protocol import NAMES_ALL, OtherNode, OtherNodes
 from midstride.runtime.change.running_change import RunningChange
 
 # How to say on the command line, and in a request of the API, that they are meant too.
@@ -32,11 +32,12 @@ def would_end_others(ending: Mapping[str, OtherNodes]) -> str | None:
     if not found:
         return None
     many = sum(len(each.nodes) for each in ending.values()) > 1
+    namesakes = any(node.namesake for each in ending.values() for node in each.nodes)
     return (
         f"the change would also end {'other nodes' if many else 'another node'} of the same process: "
         f"{'; '.join(found)}. If {'they are' if many else 'it is'} meant too, pass `{OPTION}` "
         f'(`"{FIELD}": true` in a request)'
-    )
+    ) + (f". {NAMES_ALL}" if namesakes else "")
 
 
 def nodes_that_will_end(plan: Plan, ending: Mapping[str, OtherNodes]) -> Iterator[verdicts.Assessment]:

@@ -42,6 +42,11 @@ def launch_of(
     if gate is not None and not component.once and gate not in known:
         instead = " or ".join(f"`gate {kind}` only" for kind in known) or "none"
         raise StartFailed(f"{name} has a gate (`gate {gate}`), and the back end {backend} has {instead}")
+    if (component.unnamed or component.renames) and not component.once and backend != "ros2":
+        word = "unnamed" if component.unnamed else "renames"
+        raise StartFailed(
+            f"{name} has `{word}`, and the back end {backend} passes each program the name of its node: omit `{word}`"
+        )
     if package is not None and backend != "ros2":
         raise StartFailed(f"{name} is in package {package}, which the back end {backend} cannot look up")
     try:

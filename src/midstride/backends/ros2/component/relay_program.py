@@ -36,6 +36,7 @@ PLATFORM = RelayPlatform(
     decoder=lambda name: partial(deserialize_message, message_type=message_class(name)),
     graph=lambda host, order: Graph(host.ros_node).of_process(order.node) or None,
     parameters=parameters,
+    nodes=lambda host, enclave: Graph(host.ros_node).of_enclave(enclave),
 )
 
 if __name__ == "__main__":

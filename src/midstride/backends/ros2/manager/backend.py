@@ -35,7 +35,7 @@ from midstride.backends.ros2.manager import launching, process_nodes
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_services import RosNodeServices
-from midstride.backends.ros2.manager.own_names import StartName
+from midstride.backends.ros2.manager.own_names import StartName, named
 from midstride.backends.ros2.manager.topic_listener import RosListener
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint, Served
@@ -193,8 +193,9 @@ class Ros2Backend(ProcessBackend, Backend):
                 command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, _name_once(launch)))
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.gate == "relay":
-            graph.starts(start_name.full)
-            return await self._start_relay(launch, launch.foreign, start_name.full, command, environment)
+            if start_name.full:
+                graph.starts(start_name.full)
+            return await self._start_relay(launch, launch.foreign, start_name, command, environment)
         environment, record = await self._foreign_nodes.prepare(
             launch, launch.foreign, start_name.full or own_name, environment
         )
@@ -213,15 +214,21 @@ class Ros2Backend(ProcessBackend, Backend):
         return handle
 
     async def _start_relay(
-        self, launch: Launch, component: ComponentSpec, node: str, command: Sequence[str], program: Mapping[str, str]
+        self,
+        launch: Launch,
+        component: ComponentSpec,
+        name: StartName,
+        command: Sequence[str],
+        program: Mapping[str, str],
     ) -> Handle:
-        """``program``: the environment of the program, whose node has the full name ``node``."""
+        """``program``: the environment of the program, whose node is started with ``name``."""
         simulated = {name: value for name, value in launch.parameters.items() if name == "use_sim_time"}
         own = replace(launch, parameters=simulated, set_parameters={})  # the others are the program's
         environment = launching.environment(own, self._control, sys.executable, self.settings, os.environ)
         environment[ENV_START] = program[ENV_START]  # what either of them starts belongs to the instance
         different = differing(program, environment)
-        order = self._foreign_nodes.prepare_relay(launch, component, node, command, different)
+        order = self._foreign_nodes.prepare_relay(launch, component, name, command, different)
+        node = full_name(launch.instance, launch.namespace)
         try:
             return await self._spawn(own, node, (sys.executable, "-m", _RELAY, str(order)), environment)
         except BaseException:
@@ -364,6 +371,7 @@ def _is_ros_node(launch: Launch) -> bool:
 
 def _name_once(launch: Launch) -> StartName:
     """The name that a program that ends is started with."""
-    if launch.foreign is not None and launch.foreign.unnamed:
+    assert launch.foreign is not None
+    if launch.foreign.unnamed:
         return StartName("", passed=False)
-    return StartName(full_name(launch.instance, launch.namespace))
+    return named(full_name(launch.instance, launch.namespace), launch.foreign)

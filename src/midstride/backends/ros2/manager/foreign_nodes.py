@@ -26,12 +26,13 @@ from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
-from midstride.foreign.gated_agent import SETTLED, ForeignAgent
+from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint, Served, endpoints_seconds
 from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.mode_parameters import typed
+from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
@@ -47,8 +48,6 @@ ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
 ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
 # Of what is only described, instead of a number or a name that is made when the process is started.
 GIVEN_AT_THE_START: Final = "(given at the start)"
-# How often the graph is looked at for the node of a process that has just been started (s).
-_LOOK: Final = 0.05
 
 log = logging.getLogger(__name__)
 
@@ -79,7 +78,9 @@ class ForeignNodes:
         self._reported = ReportedStates()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
-        self._relayed: dict[str, str] = {}  # by instance that has a relay, the full name of its program's node
+        # By instance that has a relay, the full name of its program's node; empty until it is known.
+        self._relayed: dict[str, str] = {}
+        self._unfound: set[str] = set()  # those of them whose relay has still to find the node
         self.names: set[str] = set()  # the full names of their ROS nodes, also of those that have ended
         self._closing: set[asyncio.Task[None]] = set()
         self._own_names = OwnNames(folder)
@@ -88,7 +89,7 @@ class ForeignNodes:
 
     def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
         """Return what the node of the instance is called. Raises StartFailed."""
-        return self._own_names.start_name(launch, component.unnamed, runs)
+        return self._own_names.start_name(launch, component, runs)
 
     async def prepare(
         self, launch: Launch, component: ComponentSpec, node: str, environment: Mapping[str, str]
@@ -131,24 +132,28 @@ class ForeignNodes:
         self,
         launch: Launch,
         component: ComponentSpec,
-        node: str,
+        name: StartName,
         command: Sequence[str],
         environment: Mapping[str, str | None],
     ) -> Path:
         """The file of the order of a relay; the arguments are those of :class:`RelayOrder`. Raises BackendError."""
+        node = name.full or full_name(launch.instance, launch.namespace)
         topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
         order = RelayOrder(
-            command=[*command, *self.arguments(replaced(launch, topics=topics), component, StartName(node))],
-            node=node,
+            command=[*command, *self.arguments(replaced(launch, topics=topics), component, name)],
+            node=name.full,
             declaration=NamedComponentForm.of(component),
             topics=topics,
             environment=dict(environment),
             real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
             stated=json_values(launch.parameters),
+            enclave=self._enclave(launch, component),
+            unnamed=not name.passed,
+            role=launch.role,
         )
         path = order_file(self._folder, launch.instance)
         order.write(path)
-        self._relays(launch.instance, node)
+        self._relays(launch.instance, order)
         return path
 
     def describe(
@@ -186,12 +191,31 @@ class ForeignNodes:
         path = parameter_file(self._folder.absolute(), launch.instance)
         values = self._values(launch, component, name)
         written = write_parameters(path, launch.sections, name.full or ALL, values)
-        enclave = enclave_of(system_tag(launch.token), launch.instance) if component.unnamed else ""
+        enclave = self._enclave(launch, component)
         return ros_arguments(launch, component, name, path if written else None, enclave)
 
-    def _relays(self, instance: str, node: str) -> None:
-        self._relayed[instance] = node
-        self.names.add(node)
+    def _enclave(self, launch: Launch, component: ComponentSpec) -> str:
+        """Where the node of a program is found that gives it its name itself; empty for any other."""
+        return enclave_of(system_tag(launch.token), launch.instance) if component.unnamed else ""
+
+    def _relays(self, instance: str, order: RelayOrder) -> None:
+        if order.enclave:
+            self._unfound.add(instance)
+        self._relayed[instance] = order.node
+        if order.node:
+            self.names.add(order.node)
+
+    def _relay_has_found(self, instance: str) -> None:
+        """Its relay reports, so it has written which node its program has."""
+        try:
+            order = RelayOrder.read(order_file(self._folder, instance))
+            if order.unnamed and order.node:
+                self._own_names.note(order.role, order.node)
+        except BackendError as error:
+            log.error("how the node of %s is called is not known: %s", instance, error)
+            return
+        self._relays(instance, order)
+        self._unfound.discard(instance)
 
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)
@@ -204,6 +228,8 @@ class ForeignNodes:
 
     def note(self, state: ComponentState) -> None:
         """A component has reported this."""
+        if state.instance in self._unfound:
+            self._relay_has_found(state.instance)
         # With an agent here, what it says of `/clock` comes from here as well.
         self._reported.note(state, has_agent=state.instance not in self._agents)
 
@@ -236,33 +262,27 @@ class ForeignNodes:
         task.add_done_callback(lambda _: self._finding.pop(record.instance, None))
 
     async def _find(self, record: ForeignRecord) -> None:
-        """Wait until the graph shows the node, and answer for it; one without a node is answered for all the same.
-
-        The name is that which it was passed, or has had before; other nodes of its process may show earlier.
-        """
-        enclave, found = enclave_of(system_tag(record.token), record.instance), list[str]()
+        """Wait until the graph shows the node, and answer for it; one without a node is answered for all the same."""
+        enclave = enclave_of(system_tag(record.token), record.instance)
         expected = self._own_names.known(record.role) if record.unnamed else record.node
-        deadline = time.monotonic() + endpoints_seconds(record.declaration.declared())
-        while time.monotonic() < deadline and (not found or (expected and expected not in found)):
-            await asyncio.sleep(_LOOK)
-            before, found = found, [name for name in self._nodes_in(enclave) if "/_" not in name]
-            if found and not before:  # a program that names its node otherwise by now shows that soon
-                deadline = min(deadline, time.monotonic() + SETTLED)
+        search = OwnNodeSearch(expected, endpoints_seconds(record.declaration.declared()))
+        while not search.look(self._nodes_in(enclave)):
+            await asyncio.sleep(NODE_LOOK)
         try:
-            if found:  # of several, a further one is often in a namespace of the first
-                first = min(found, key=lambda name: (name.count("/"), len(name), name))
-                node = expected if expected in found else first
+            if search.node:
                 if record.unnamed:
-                    self._own_names.note(record.role, node)
-                record = replace(record, node=node)
+                    self._own_names.note(record.role, search.node)
+                record = replace(record, node=search.node)
                 record.write(self._folder)
             await self._answer(record)
         except BackendError as error:
             log.error("%s cannot be answered for: %s", record.instance, error)
 
     def node_of(self, instance: str) -> str | None:
-        """The full name of the node of an instance, once it is known."""
-        return None if (agent := self._agents.get(instance)) is None else agent.node.record.node
+        """The full name of the node of an instance, once it is known; of a relay, that of its program's."""
+        if (agent := self._agents.get(instance)) is not None:
+            return agent.node.record.node
+        return self._relayed.get(instance)
 
     def _node_name(self, instance: str, namespace: str) -> str:
         return self.node_of(instance) or full_name(instance, namespace)
@@ -291,7 +311,7 @@ class ForeignNodes:
                     raise BackendError(f"{instance} cannot be answered for: {error}") from None
             await self._answer_once_known(record)
         with suppress(BackendError):
-            self._relays(instance, RelayOrder.read(order_file(self._folder, instance)).node)
+            self._relays(instance, RelayOrder.read(order_file(self._folder, instance)))
 
     async def _answer(self, record: ForeignRecord) -> None:
         gates = None
@@ -334,6 +354,7 @@ class ForeignNodes:
         if (task := self._finding.pop(instance, None)) is not None:
             task.cancel()
         self._peers.nodes.pop(instance, None)
+        self._unfound.discard(instance)
         if self._relayed.pop(instance, None) is not None:
             order_file(self._folder, instance).unlink(missing_ok=True)
         if (agent := self._agents.pop(instance, None)) is not None:

@@ -16,6 +16,7 @@ from typing import Final
 import msgspec
 
 from midstride.errors import BackendError, StartFailed
+from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Launch
 
@@ -38,6 +39,12 @@ class StartName:
     full: str
     passed: bool = True
     original: str = ""
+
+
+def named(full: str, component: ComponentSpec) -> StartName:
+    """The full name ``full`` for a node of ``component``, which may state which node of its process is meant."""
+    inside = split_name(full)[1]
+    return StartName(full, original=full_name(component.renames, inside.strip("/")) if component.renames else "")
 
 
 class OwnNames:
@@ -70,18 +77,18 @@ class OwnNames:
         except OSError as error:
             raise BackendError(f"{self._path} cannot be written: {error.strerror or error}") from None
 
-    def start_name(self, launch: Launch, unnamed: bool, runs: Callable[[str], bool]) -> StartName:
+    def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
         """Return what the node of an instance is called. ``runs``: whether a node of that full name is in the graph.
 
         A replacement gets another number than its instance has where a node outside the system has that name. Raises
         StartFailed.
         """
-        if not unnamed:
+        if not component.unnamed:
             name = launch.instance
             if name != launch.role and runs(full_name(name, launch.namespace)):
                 names = (f"{launch.role}_{number}" for number in count(2))
                 name = next(each for each in names if not runs(full_name(each, launch.namespace)))
-            return StartName(full_name(name, launch.namespace))
+            return named(full_name(name, launch.namespace), component)
         own = self.known(launch.role)
         if not own or not runs(own):
             return StartName(own, passed=False)
