@@ -7,7 +7,7 @@ from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop
 
 PUBLIC = (
     "CooperativeThread Ended ProcessOutput RequestFault SimulatedProcess SimulatedProgram SimulatedWriter Simulator "
-    "ThreadYield"
+    "ThreadYield virtual_loop"
 )
 
 __all__ = ["PacedLoop", "Simulator", "VirtualLoop"]
