@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
+import subprocess
 import sys
 import time
 from collections.abc import Coroutine
@@ -154,6 +156,64 @@ def test_exactly_one_instance_answers_whenever_the_manager_is_killed(tmp_path: P
         down = await asyncio.to_thread(manage, system, "down")
         assert down.returncode == 0, down.stdout + down.stderr
         caller.handled_once(tmp_path / "calls")
+
+    with ended():
+        run(main())
+
+
+# Calls the service once for each line that it reads, at once, and prints who has handled it.
+CLIENT = """
+import sys
+import rclpy
+from rcl_interfaces.srv import ListParameters
+
+rclpy.init()
+node = rclpy.create_node("held_up")
+client = node.create_client(ListParameters, "/source/count")
+client.wait_for_service()
+print("ready", flush=True)
+for line in sys.stdin:
+    future = client.call_async(ListParameters.Request(prefixes=[line.strip()]))
+    rclpy.spin_until_future_complete(node, future)
+    print(future.result().result.names[0], flush=True)
+"""
+
+
+@pytest.mark.full
+def test_a_request_that_reaches_the_predecessor_alone_is_passed_on(tmp_path: Path) -> None:
+    """A client that is held up during the change sends before it has discovered the successor, which handles that."""
+    system = tmp_path / "system"
+
+    async def main() -> None:
+        from midstride import backends
+        from midstride.runtime.manager import Manager
+        from midstride.runtime.workspace import Workspace
+
+        system.mkdir()
+        manager = Manager(
+            specification(tmp_path), backends.make("ros2", Workspace(system)), Workspace(system), tmp_path
+        )
+        await manager.up()
+        await manager.close()
+        program = [sys.executable, "-c", CLIENT]
+        with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as client:
+            try:
+                assert client.stdin is not None and client.stdout is not None
+                reply = client.stdout.readline
+                assert await asyncio.to_thread(reply) == "ready\n"
+                for number in range(2):
+                    os.kill(client.pid, signal.SIGSTOP)
+                    # Both instances run afterwards, and the new one answers.
+                    await asyncio.to_thread(kill_the_manager, system, "detach", "1", "after")
+                    client.stdin.write(f"{number}\n")
+                    client.stdin.flush()
+                    os.kill(client.pid, signal.SIGCONT)
+                    answer = await asyncio.wait_for(asyncio.to_thread(reply), 60)
+                    assert answer == f"source_{number + 2}\n"
+            finally:
+                client.kill()
+        down = await asyncio.to_thread(manage, system, "down")
+        assert down.returncode == 0, down.stdout + down.stderr
 
     with ended():
         run(main())

@@ -4,16 +4,33 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
+from collections.abc import Awaitable, Callable, Coroutine
+from functools import partial
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from midstride.errors import CallTimeout, CommandRefused, Unreachable
-from midstride.node.control.service_answering import YIELD_ATTEMPTS, Answering
-from midstride.node.request_admission import HELD, HOLD, REMEMBER, REMEMBERED, RequestAdmission
-from midstride.wire.commands import AnswerCommand, Command, YieldCommand
+from midstride.backends.simulator.virtual_loop import run
+from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
+from midstride.node.control.service_answering import PASS_INTERVAL, SERVE_TIMEOUT, YIELD_ATTEMPTS, Answering
+from midstride.node.request_admission import (
+    HELD,
+    HOLD,
+    PASS_AFTER,
+    REMEMBER,
+    REMEMBERED,
+    PassableRequest,
+    RequestAdmission,
+)
+from midstride.wire.commands import (
+    AnswerCommand,
+    Command,
+    MissingRequestsCommand,
+    ServeCommand,
+    YieldCommand,
+)
 from midstride.wire.frames import Reply, encode_value
 from midstride.wire.replies import Done
 
@@ -118,13 +135,18 @@ class Peer:
         self.calls.append(command)
         if self.faults:
             raise self.faults.pop(0)
-        result = await Answering(self.server.admission, self.call, lambda: None).stop(command)
+        result = await answering(self.server, self).stop(command)
         return Reply(id="1", revision=1, result=encode_value(result))
+
+
+def answering(server: Server, peer: Peer) -> Answering:
+    """Its part in a process that passes no request on."""
+    return Answering(server.admission, peer.call, lambda: None, Coroutine.close, asyncio.sleep, lambda: "")
 
 
 def answer(server: Server, peer: Peer, address: str | None = "its address") -> Done:
     command = AnswerCommand(peer="talker", address=address)
-    return asyncio.run(Answering(server.admission, peer.call, lambda: None).answer(command))
+    return asyncio.run(answering(server, peer).answer(command))
 
 
 @pytest.mark.parametrize("lost", [0, YIELD_ATTEMPTS - 1])
@@ -155,3 +177,148 @@ def test_a_predecessor_that_may_still_answer_keeps_the_successor_closed() -> Non
     assert not new.admission.is_open
     answer(new, peer, address=None)
     assert new.admission.is_open
+
+
+# -- requests that reach the predecessor alone ---------------------------------------------------------
+
+
+class Instance:
+    """One of two instances that can reach each other, on the loop's clock; ``handled`` by name of the request.
+
+    ``responses``: what clients have received from it, for requests that it passed on.
+    """
+
+    def __init__(self, name: str, instances: dict[str, Instance], *, is_open: bool) -> None:
+        self.name = name
+        self.handled: list[str] = []
+        self.responses: dict[str, bytes] = {}
+        self.faults: list[BackendError] = []  # of its next calls
+        self.raises = False
+        self._instances = instances
+        self._tasks: set[asyncio.Task[None]] = set()
+        instances[name] = self
+        clock = asyncio.get_running_loop().time
+        self.admission = RequestAdmission(lambda: int(clock() * 1e9), is_open=is_open)
+        self.admission.passed_handlers["/talker/count"] = self.handles_passed
+        self.answering = Answering(
+            self.admission, self.call, lambda: None, self._start, asyncio.sleep, lambda: self.name
+        )
+
+    def receives(self, request: str) -> None:
+        handle = partial(self.handles, request)
+        respond = partial(self.responses.__setitem__, request)
+        if self.admission.admit(request, handle, PassableRequest("/talker/count", request.encode, respond)):
+            handle()
+
+    def handles(self, request: str) -> None:
+        self.handled.append(request)
+        self.admission.finished(request)
+
+    def handles_passed(self, request: str, data: bytes, respond: Callable[[bytes | None], object]) -> None:
+        assert data == request.encode()
+        self.handles(request)
+        respond(None if self.raises else f"{request} by {self.name}".encode())
+
+    async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
+        if self.faults:
+            raise self.faults.pop(0)
+        peer = self._instances[address].answering
+        handlers: dict[type[Command[Any]], Callable[[Any], Awaitable[Any]]] = {
+            YieldCommand: peer.stop,
+            MissingRequestsCommand: peer.missing,
+            ServeCommand: peer.serve,
+        }
+        return Reply(id="1", revision=1, result=encode_value(await handlers[type(command)](command)))
+
+    async def takes_over(self, old: Instance) -> None:
+        await self.answering.answer(AnswerCommand(peer=old.name, address=old.name))
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.ensure_future(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+PASSED = PASS_AFTER + 2 * PASS_INTERVAL + 0.01
+
+
+@given(
+    st.lists(st.one_of(st.tuples(st.integers(0, 9), st.booleans()), st.just("wait"), st.just("change")), max_size=30)
+)
+def test_each_request_is_handled_once_although_the_one_that_does_not_answer_may_not_receive_it(
+    events: list[Any],
+) -> None:
+    """Each request reaches the instance that has answered so far; the other one receives it, or never does."""
+
+    async def main() -> tuple[Counter[str], set[str]]:
+        instances: dict[str, Instance] = {}
+        old, new = Instance("a", instances, is_open=True), Instance("b", instances, is_open=False)
+        sent: set[str] = set()
+        for event in events:
+            if event == "change":
+                await new.takes_over(old)
+                old, new = new, old
+            elif event == "wait":
+                await asyncio.sleep(PASSED)
+            elif str(event[0]) not in sent:
+                sent.add(str(event[0]))
+                # The client may know only the one that has answered until the last change.
+                for instance in {new, old} if event[1] else {new if old.admission.yields else old}:
+                    instance.receives(str(event[0]))
+        await asyncio.sleep(PASSED)
+        return Counter(old.handled + new.handled), sent
+
+    handled, sent = run(main())
+    assert handled == dict.fromkeys(sent, 1)
+
+
+def test_what_only_the_predecessor_receives_is_handled_by_the_successor_and_answered() -> None:
+    async def main() -> tuple[Instance, Instance]:
+        instances: dict[str, Instance] = {}
+        old, new = Instance("a", instances, is_open=True), Instance("b", instances, is_open=False)
+        await new.takes_over(old)
+        old.receives("1")
+        for instance in (old, new):
+            instance.receives("2")
+        assert old.answering.undecided() == ["1", "2"]
+        old.faults = [CallTimeout("its reply is lost")]  # it asks again
+        await asyncio.sleep(PASSED)
+        assert not old.answering.undecided() and not old.admission.busy
+        new.receives("1")  # which has been on its way for very long
+        return old, new
+
+    old, new = run(main())
+    assert (old.handled, new.handled) == ([], ["2", "1"])
+    assert old.responses == {"1": b"1 by b"}
+
+
+@pytest.mark.parametrize("raises", [True, False])
+def test_a_request_that_was_passed_on_and_gets_no_response_does_not_keep_the_predecessor(raises: bool) -> None:
+    async def main() -> tuple[Instance, Instance]:
+        instances: dict[str, Instance] = {}
+        old, new = Instance("a", instances, is_open=True), Instance("b", instances, is_open=False)
+        await new.takes_over(old)
+        new.raises = raises
+        if not raises:
+            del new.admission.passed_handlers["/talker/count"]
+        old.receives("1")
+        await asyncio.sleep(PASSED + SERVE_TIMEOUT)
+        assert not old.admission.busy
+        return old, new
+
+    old, new = run(main())
+    assert old.responses == {} and new.handled == (["1"] if raises else [])
+
+
+def test_an_instance_that_answers_again_passes_nothing_on() -> None:
+    async def main() -> tuple[list[str], list[str]]:
+        instances: dict[str, Instance] = {}
+        old, new = Instance("a", instances, is_open=True), Instance("b", instances, is_open=False)
+        await new.takes_over(old)
+        old.receives("1")
+        await old.takes_over(new)
+        assert old.answering.undecided() == []
+        await asyncio.sleep(PASSED)
+        return old.handled, new.handled
+
+    assert run(main()) == (["1"], [])

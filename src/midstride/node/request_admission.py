@@ -4,6 +4,10 @@ Every server of a service receives every request (on ROS 2, where the instances 
 instances one answers, and its admission is open. The other one holds what arrives until it answers: it is given the
 requests that its predecessor has handled, handles the rest, and so each request is handled exactly once. While the
 state of the one that answers moves to the other, neither answers, and both hold what arrives.
+
+A client that has not discovered the successor yet sends its requests to the predecessor alone, which no longer handles
+them: what it has held for a while it passes on to the successor, if that has not received it, and it returns the
+response.
 """
 
 from __future__ import annotations
@@ -11,7 +15,8 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, TypeAlias
 
 # For how long (s) a request is held while admission is closed, and how many at most: a predecessor that answers has
 # done so by then.
@@ -20,6 +25,23 @@ HELD: Final = 1000
 # For how long (s) a handled request is remembered, and how many at most: longer than any peer may hold it.
 REMEMBER: Final = 2 * HOLD
 REMEMBERED: Final = 10 * HELD
+# After how long (s) a request that is held is asked after at the successor: the two receive one request so far apart.
+PASS_AFTER: Final = 0.2
+
+
+@dataclass(frozen=True)
+class PassableRequest:
+    """How a request of ``service`` is handled by another instance: ``data`` is its form on the way, and ``respond``,
+    on any thread, sends the response that comes back."""
+
+    service: str
+    data: Callable[[], bytes]
+    respond: Callable[[bytes], object]
+
+
+# Handles a request that was passed on: its identity, its data, and what is called with the response, or with None where
+# the code of the service has raised. On any thread, and so is that.
+PassedHandler: TypeAlias = Callable[[str, bytes, "Callable[[bytes | None], object]"], None]
 
 
 class RequestAdmission:
@@ -34,15 +56,17 @@ class RequestAdmission:
         self._lock = threading.Lock()
         # By request, in order of arrival: when it was handled, or when it came and how to handle it.
         self._handled: OrderedDict[str, int] = OrderedDict()
-        self._held: OrderedDict[str, tuple[int, Callable[[], object]]] = OrderedDict()
+        self._held: OrderedDict[str, tuple[int, Callable[[], object], PassableRequest | None]] = OrderedDict()
+        self.passed_handlers: dict[str, PassedHandler] = {}  # by the full name of the service
         self._unfinished: set[str] = set()
         self._answered: int | None = None  # when the last request was handled to the end
         self._paused = False
         self.yields = 0
 
-    def admit(self, request: str, later: Callable[[], object]) -> bool:
+    def admit(self, request: str, later: Callable[[], object], passable: PassableRequest | None = None) -> bool:
         """Whether to handle ``request`` now. Else ``later`` is called if admission opens before a peer has handled it.
 
+        ``passable``: how it is passed on to a successor that has not received it; None where it cannot be.
         ``request`` identifies it: the same for every server that receives it, and unique among all requests. Call
         :meth:`finished` once it has been handled, now or later.
         """
@@ -54,7 +78,7 @@ class RequestAdmission:
                 self._handled[request] = now
                 self._unfinished.add(request)
             else:
-                self._held[request] = now, later
+                self._held[request] = now, later, passable
             self._forget_old(now)
             return self.is_open
 
@@ -78,6 +102,50 @@ class RequestAdmission:
         """The requests that were handled here lately."""
         with self._lock:
             return list(self._handled)
+
+    def overdue(self) -> dict[str, PassableRequest]:
+        """The requests that have been held for PASS_AFTER and can be passed on; empty while admission is open."""
+        before = self._steady() - int(PASS_AFTER * 1e9)
+        with self._lock:
+            return {
+                request: passable
+                for request, (since, _, passable) in self._held.items()
+                if passable is not None and since <= before
+            }
+
+    def passable(self) -> list[str]:
+        """The requests held here that can be passed on."""
+        with self._lock:
+            return [request for request, (_, _, passable) in self._held.items() if passable is not None]
+
+    def give_up(self, requests: Iterable[str]) -> None:
+        """Hold these no longer: the successor has received them."""
+        with self._lock:
+            for request in requests:
+                self._held.pop(request, None)
+
+    def pass_on(self, request: str) -> bool:
+        """Whether ``request`` is still held; then the successor handles it. Call :meth:`finished` once it has."""
+        with self._lock:
+            if self._held.pop(request, None) is None:
+                return False
+            self._unfinished.add(request)
+            return True
+
+    def missing(self, requests: Iterable[str]) -> list[str]:
+        """Those of the ``requests`` that have not arrived here."""
+        with self._lock:
+            return [each for each in requests if each not in self._handled and each not in self._held]
+
+    def admit_passed(self, request: str) -> bool:
+        """Whether to handle a request that the predecessor passes on: it has not arrived, and is not handled if it
+        arrives yet. Call :meth:`finished` as for others."""
+        with self._lock:
+            if request in self._handled or request in self._held:
+                return False
+            self._handled[request] = self._steady()
+            self._unfinished.add(request)
+            return True
 
     def _forget_old(self, now: int) -> None:
         handled, held = self._handled, self._held
@@ -109,7 +177,7 @@ class RequestAdmission:
         now = self._steady()
         with self._lock:
             self._forget_old(now)
-            due = {} if handled is None else {name: later for name, (_, later) in self._held.items()}
+            due = {} if handled is None else {name: later for name, (_, later, _) in self._held.items()}
             self._held.clear()
             for request in handled or ():
                 due.pop(request, None)

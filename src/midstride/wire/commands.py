@@ -30,11 +30,13 @@ from midstride.wire.replies import (
     GatedWrites,
     Grid,
     Idle,
+    MissingRequests,
     PreviousModes,
     PreviousParameters,
     RateVerdict,
     RecordingSwitched,
     Records,
+    Served,
     SharedSlotPlace,
     StateOffer,
     Yielded,
@@ -431,9 +433,32 @@ class CutTakenCommand(Command[Confirmed], frozen=True, kw_only=True, tag="taken"
 
 
 class YieldCommand(Command[Yielded], frozen=True, kw_only=True, tag="yield"):
-    """From the instance that is to answer requests to the one that does: stop, and say which you have handled."""
+    """From the instance that is to answer requests to the one that does: stop, and say which you have handled.
+
+    ``address`` is that of the instance that asks: what it does not receive is passed on to it.
+    """
 
     kind = "between"
+    address: str
+
+
+class MissingRequestsCommand(Command[MissingRequests], frozen=True, kw_only=True, tag="missing_requests"):
+    """From an instance that no longer answers requests to the one that does: which of these have you not received?"""
+
+    kind = "between"
+    requests: list[str]
+
+
+class ServeCommand(Command[Served], frozen=True, kw_only=True, tag="serve"):
+    """From an instance that no longer answers requests to the one that does: handle this one, which only I received.
+
+    ``data`` is the request as the middleware serializes it.
+    """
+
+    kind = "between"
+    request: str
+    service: str
+    data: bytes
 
 
 class ResolveCutsCommand(Command[Done], frozen=True, kw_only=True, tag="resolve_cuts"):

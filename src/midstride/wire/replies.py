@@ -191,6 +191,19 @@ class Yielded(WireValue, frozen=True, kw_only=True):
     handled: list[str]
 
 
+class MissingRequests(WireValue, frozen=True, kw_only=True):
+    """The requests that have not arrived."""
+
+    requests: list[str]
+
+
+class Served(WireValue, frozen=True, kw_only=True):
+    """The response to a request that was passed on, serialized; None where there is none to send: the request has
+    arrived after all, or its code has raised."""
+
+    response: bytes | None
+
+
 class Idle(WireValue, frozen=True, kw_only=True):
     """``busy``: why user code had not returned in time, in words; None where the data thread is free."""
 

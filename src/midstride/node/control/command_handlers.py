@@ -116,6 +116,8 @@ class CommandHandlers:
             commands.FenceCommand: self._fencing.fence,
             commands.AnswerCommand: self._handovers.answer,
             commands.YieldCommand: self._handovers.answering.stop,
+            commands.MissingRequestsCommand: self._handovers.answering.missing,
+            commands.ServeCommand: self._handovers.answering.serve,
             commands.PrepareStateCommand: self._handovers.prepare_state,
             commands.OfferStateCommand: self._handovers.offer_state,
             commands.FetchStateCommand: self._handovers.fetch_state,
@@ -196,10 +198,15 @@ class CommandHandlers:
             await self.host.sleep(0.01)
 
     async def _finish_requests(self) -> None:
-        """Answer the requests to services that are being handled, and begin with no other."""
+        """Answer the requests to services that are being handled, and begin with no other.
+
+        What only this instance has received of those held now, its successor handles first.
+        """
         self.host.admission.pause()
         deadline = self.host.steady() + int(REQUESTS_SECONDS * 1e9)
-        while self.host.admission.busy:
+        answering = self._handovers.answering
+        held = set(answering.undecided())
+        while self.host.admission.busy or held.intersection(answering.undecided()):
             if self.host.steady() >= deadline:
                 words = f"a request to a service of it was not answered within {REQUESTS_SECONDS:g} s"
                 self.host.logger.error(f"{self.host.instance} ends, but {words}")

@@ -7,13 +7,14 @@ stops before it exports, and what it has handled comes with the state (:mod:`mid
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import CallTimeout, CommandRefused, Unreachable
-from midstride.node.request_admission import RequestAdmission
+from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
+from midstride.node.request_admission import PassableRequest, RequestAdmission
 from midstride.wire import commands, replies
 from midstride.wire.channel import result_of
 from midstride.wire.commands import Command
@@ -22,15 +23,28 @@ from midstride.wire.frames import Reply
 # How long one attempt to have the predecessor stop may take (s), and how many there are.
 YIELD_TIMEOUT: Final = 0.5
 YIELD_ATTEMPTS: Final = 3
+# How often a predecessor looks for requests that only it has received (s), and how long it waits for what the successor
+# has to say about them.
+PASS_INTERVAL: Final = 0.1
+MISSING_TIMEOUT: Final = 0.5
+# How long the response to a request that was passed on may take (s).
+SERVE_TIMEOUT: Final = 10.0
 
 
 @dataclass
 class Answering:
-    """``call`` sends a command to a peer at an address; ``changed`` is called when a peer has had it stop."""
+    """``call`` sends a command to a peer at an address; ``changed`` is called when a peer has had it stop. ``start``
+    runs a coroutine in the background, ``sleep`` sleeps on the steady clock (s). ``own_address`` is where it is itself.
+    """
 
     admission: RequestAdmission
     call: Callable[[str, Command[Any], float], Awaitable[Reply]]
     changed: Callable[[], None]
+    start: Callable[[Coroutine[Any, Any, None]], object]
+    sleep: Callable[[float], Awaitable[None]]
+    own_address: Callable[[], str]
+    # The address of the instance that answers instead; None while none does.
+    _successor: str | None = field(default=None, init=False)
 
     async def answer(self, command: commands.AnswerCommand) -> replies.Done:
         if not self.admission.is_open:
@@ -64,7 +78,7 @@ class Answering:
 
     async def _yielded(self, peer: str, address: str) -> list[str] | None:
         """What the predecessor has handled; None if it has exited. Raises CommandRefused if it may still answer."""
-        stop = commands.YieldCommand()
+        stop = commands.YieldCommand(address=self.own_address())
         for _ in range(YIELD_ATTEMPTS):
             try:
                 return result_of(await self.call(address, stop, YIELD_TIMEOUT), stop).handled
@@ -78,5 +92,71 @@ class Answering:
     async def stop(self, command: commands.YieldCommand) -> replies.Yielded:
         """From the successor. Asked again, it gives the same reply: the first may be lost."""
         handled = self.admission.close()
+        if command.address:
+            self.pass_on_to(command.address)
         self.changed()
         return replies.Yielded(handled=handled)
+
+    def pass_on_to(self, address: str) -> None:
+        """Admission is closed, and the instance at ``address`` answers: pass on what only this one receives."""
+        if self._successor != address:
+            self._successor = address
+            self.start(self._pass_on(address))
+
+    def undecided(self) -> list[str]:
+        """The requests of which it is not known yet whether the successor has received them."""
+        return [] if self._successor is None else self.admission.passable()
+
+    async def _pass_on(self, address: str) -> None:
+        while self._successor == address:
+            if self.admission.is_open:  # it answers again
+                self._successor = None
+                return
+            if overdue := self.admission.overdue():
+                await self._pass_overdue(overdue, address)
+            await self.sleep(PASS_INTERVAL)
+
+    async def _pass_overdue(self, overdue: dict[str, PassableRequest], address: str) -> None:
+        question = commands.MissingRequestsCommand(requests=list(overdue))
+        with contextlib.suppress(BackendError):  # it is asked again, as long as they are held
+            missing = result_of(await self.call(address, question, MISSING_TIMEOUT), question).requests
+            self.admission.give_up(overdue.keys() - set(missing))
+            for request in missing:
+                if self.admission.pass_on(request):
+                    self.start(self._pass(request, overdue[request], address))
+
+    async def _pass(self, request: str, passable: PassableRequest, address: str) -> None:
+        serve = commands.ServeCommand(
+            request=request, service=passable.service, data=passable.data(), timeout=SERVE_TIMEOUT
+        )
+        try:
+            response = result_of(await self.call(address, serve, SERVE_TIMEOUT), serve).response
+            if response is not None:
+                passable.respond(response)
+        except BackendError:
+            pass  # as if the server had died: its client gets no response
+        finally:
+            self.admission.finished(request)
+
+    async def missing(self, command: commands.MissingRequestsCommand) -> replies.MissingRequests:
+        """From the predecessor. Until admission is open they may yet be handled there."""
+        if not self.admission.is_open:
+            raise CommandRefused("it does not answer requests yet")
+        return replies.MissingRequests(requests=self.admission.missing(command.requests))
+
+    async def serve(self, command: commands.ServeCommand) -> replies.Served:
+        """Handle a request that only the predecessor has received."""
+        handle = self.admission.passed_handlers.get(command.service)
+        if handle is None:
+            raise CommandRefused(f"there is no service {command.service}")
+        if not self.admission.admit_passed(command.request):
+            return replies.Served(response=None)
+        loop = asyncio.get_running_loop()
+        response: asyncio.Future[bytes | None] = loop.create_future()
+
+        def respond(data: bytes | None) -> None:
+            if not response.done():
+                response.set_result(data)
+
+        handle(command.request, command.data, lambda data: loop.call_soon_threadsafe(respond, data))
+        return replies.Served(response=await response)

@@ -65,7 +65,13 @@ class HandoverCommands:
     _channels: dict[str, Channel] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.answering = Answering(self.host.admission, self.call, self.changed)
+        self.answering = Answering(
+            self.host.admission, self.call, self.changed, self._start, self.host.sleep, self._own_address
+        )
+
+    def _own_address(self) -> str:
+        transport = self.host.transport
+        return "" if transport is None else transport.address(self.host.instance)
 
     def close(self) -> None:
         """The component ends: stop all cuts."""

@@ -234,7 +234,10 @@ class StateExport(_Transfer):
     def importing(self, done: bool) -> replies.Confirmed:
         if not self._resumed:
             self._heard_at = max(self.host.steady(), self.heard_at)
-            self._imported = self._imported or done
+            if done and not self._imported:
+                self._imported = True
+                if self._answered:
+                    self.answering.pass_on_to(self.transfer.address)
         return replies.Confirmed(resumed=self._resumed)
 
     def end(self, cut: object, resumed: bool) -> None:

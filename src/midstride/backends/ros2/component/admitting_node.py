@@ -12,8 +12,9 @@ from typing import Any
 
 from rclpy.action import ActionClient, ActionServer
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
 
-from midstride.node.request_admission import RequestAdmission
+from midstride.node.request_admission import PassableRequest, RequestAdmission
 
 
 class AdmittingNode(Node):  # type: ignore[misc]
@@ -58,36 +59,65 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
     The executor passes a request's identity to `send_response` only, so the callback is called there.
     """
     serve, send = service.callback, service.send_response
+    types = service.srv_type
+
+    def handle(identity: str, request: Any, response: Any, respond: Callable[[Any], object]) -> None:
+        """Call the callback, and ``respond`` with its result: with None where it raises."""
+        awaited, result = False, None
+        try:
+            result = serve(request, response)
+            awaited = inspect.isawaitable(result)
+        finally:
+            if not awaited:
+                answered(identity, result, respond)
+        if awaited:
+            later(partial(finish, identity, result, respond))
+
+    async def finish(identity: str, awaitable: Any, respond: Callable[[Any], object]) -> None:
+        result = None
+        try:
+            result = await awaitable
+        finally:
+            answered(identity, result, respond)
+
+    def answered(identity: str, result: Any, respond: Callable[[Any], object]) -> None:
+        try:
+            respond(result)
+        finally:
+            admission.finished(identity)
 
     def answer(pending: tuple[Any, Any], header: Any) -> None:
         request, response = pending
         # The client's own time and count: the same at every server.
         identity = f"{header.source_timestamp} {header.request_id.sequence_number}"
 
-        def handle() -> None:
-            awaited = False
-            try:
-                result = serve(request, response)
-                awaited = inspect.isawaitable(result)
-                if not awaited:
-                    send(result, header)
-            finally:
-                if not awaited:
-                    admission.finished(identity)
-            if awaited:
-                later(partial(finish, result))
+        def respond(result: Any) -> None:
+            if result is not None:
+                send(result, header)
 
-        async def finish(result: Any) -> None:
-            try:
-                send(await result, header)
-            finally:
-                admission.finished(identity)
+        handle_it = partial(handle, identity, request, response, respond)
+        passable = PassableRequest(
+            service.service_name,
+            lambda: serialize_message(request),
+            lambda data: later(lambda: send(deserialize_message(data, types.Response), header)),
+        )
+        if admission.admit(identity, lambda: later(handle_it), passable):
+            handle_it()
 
-        if admission.admit(identity, lambda: later(handle)):
-            handle()
+    def handle_passed(identity: str, data: bytes, respond: Callable[[bytes | None], object]) -> None:
+        request = deserialize_message(data, types.Request)
+        handle_it = partial(
+            handle,
+            identity,
+            request,
+            types.Response(),
+            lambda result: respond(None if result is None else serialize_message(result)),
+        )
+        later(handle_it)
 
     service.callback = lambda request, response: (request, response)
     service.send_response = answer
+    admission.passed_handlers[service.service_name] = handle_passed
 
 
 def guard_action(server: Any, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]) -> None:
