@@ -96,7 +96,7 @@ from midstride.wire.replies import (
     Receipt,
     RecordingSwitched,
     Records,
-    Served,
+    ServedRequest,
     SharedSlotPlace,
     StateOffer,
     Yielded,
@@ -245,7 +245,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (CutTakenCommand(cut="c", failed=True, claim="here", timeout=1.5), Confirmed(resumed=True)),
     (YieldCommand(address="/c/a_2.sock", timeout=1.5), Yielded(handled=["1 2", "1 3"])),
     (MissingRequestsCommand(requests=["1 2", "1 3"], timeout=1.5), MissingRequests(requests=["1 3"])),
-    (ServeCommand(request="1 3", service="/a/count", data=b"\0\1", timeout=1.5), Served(response=b"\2")),
+    (ServeCommand(request="1 3", service="/a/count", data=b"\0\1", timeout=1.5), ServedRequest(response=b"\2")),
     (ResolveCutsCommand(new=True, timeout=1.5), Done()),
     (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),
     (

@@ -51,9 +51,9 @@ def run(name: str, main: Coroutine[Any, Any, T]) -> T:
     """``asyncio.run`` for what uses the back end ``name``: the simulator's time passes only while nothing computes."""
     if name != "sim":
         return asyncio.run(main)
-    from midstride.backends.simulator import PacedLoop, virtual_loop
+    from midstride.backends.simulator import run_paced
 
-    return virtual_loop.run(main, PacedLoop())
+    return run_paced(main)
 
 
 def available(name: str) -> bool:

@@ -36,7 +36,7 @@ from midstride.wire.replies import (
     RateVerdict,
     RecordingSwitched,
     Records,
-    Served,
+    ServedRequest,
     SharedSlotPlace,
     StateOffer,
     Yielded,
@@ -449,7 +449,7 @@ class MissingRequestsCommand(Command[MissingRequests], frozen=True, kw_only=True
     requests: list[str]
 
 
-class ServeCommand(Command[Served], frozen=True, kw_only=True, tag="serve"):
+class ServeCommand(Command[ServedRequest], frozen=True, kw_only=True, tag="serve"):
     """From an instance that no longer answers requests to the one that does: handle this one, which only I received.
 
     ``data`` is the request as the middleware serializes it.

@@ -197,7 +197,7 @@ class MissingRequests(WireValue, frozen=True, kw_only=True):
     requests: list[str]
 
 
-class Served(WireValue, frozen=True, kw_only=True):
+class ServedRequest(WireValue, frozen=True, kw_only=True):
     """The response to a request that was passed on, serialized; None where there is none to send: the request has
     arrived after all, or its code has raised."""
 

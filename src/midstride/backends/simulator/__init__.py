@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from midstride.backends.simulator.backend import Simulator
-from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop
+from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop, run_paced
 
 PUBLIC = (
     "CooperativeThread Ended ProcessOutput RequestFault SimulatedProcess SimulatedProgram SimulatedWriter Simulator "
     "ThreadYield virtual_loop"
 )
 
-__all__ = ["PacedLoop", "Simulator", "VirtualLoop"]
+__all__ = ["PacedLoop", "Simulator", "VirtualLoop", "run_paced"]

@@ -107,3 +107,8 @@ def run(main: Coroutine[Any, Any, T], loop: asyncio.AbstractEventLoop | None = N
             loop.run_until_complete(loop.shutdown_asyncgens())
         finally:
             loop.close()
+
+
+def run_paced(main: Coroutine[Any, Any, T]) -> T:
+    """``asyncio.run`` on a :class:`PacedLoop`."""
+    return run(main, PacedLoop())

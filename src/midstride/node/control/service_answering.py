@@ -144,13 +144,13 @@ class Answering:
             raise CommandRefused("it does not answer requests yet")
         return replies.MissingRequests(requests=self.admission.missing(command.requests))
 
-    async def serve(self, command: commands.ServeCommand) -> replies.Served:
+    async def serve(self, command: commands.ServeCommand) -> replies.ServedRequest:
         """Handle a request that only the predecessor has received."""
         handle = self.admission.passed_handlers.get(command.service)
         if handle is None:
             raise CommandRefused(f"there is no service {command.service}")
         if not self.admission.admit_passed(command.request):
-            return replies.Served(response=None)
+            return replies.ServedRequest(response=None)
         loop = asyncio.get_running_loop()
         response: asyncio.Future[bytes | None] = loop.create_future()
 
@@ -159,4 +159,4 @@ class Answering:
                 response.set_result(data)
 
         handle(command.request, command.data, lambda data: loop.call_soon_threadsafe(respond, data))
-        return replies.Served(response=await response)
+        return replies.ServedRequest(response=await response)
