@@ -7,7 +7,7 @@ from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop, ru
 
 PUBLIC = (
     "CooperativeThread Ended ProcessOutput RequestFault SimulatedProcess SimulatedProgram SimulatedWriter Simulator "
-    "ThreadYield virtual_loop"
+    "ThreadYield"
 )
 
 __all__ = ["PacedLoop", "Simulator", "VirtualLoop", "run_paced"]
