@@ -129,6 +129,21 @@ const char *rcl_publisher_get_topic_name(const struct publisher *publisher)
   return publisher->topic;
 }
 
+/* With FAKE_LATCHED, every publisher is latched, and that is its depth. */
+const void *rcl_publisher_get_actual_qos(const struct publisher *publisher)
+{
+  static struct {
+    int history;
+    size_t depth;
+    int reliability, durability;
+  } latched = {1, 0, 1, 1};
+  (void)publisher;
+  if (!getenv("FAKE_LATCHED"))
+    return NULL;
+  latched.depth = strtoull(getenv("FAKE_LATCHED"), NULL, 10);
+  return &latched;
+}
+
 int rcl_subscription_init(struct publisher *subscription, const void *node, const void *type, const char *name, const void *options)
 {
   (void)node, (void)type, (void)options;

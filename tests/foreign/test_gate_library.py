@@ -247,6 +247,21 @@ def test_a_message_written_once_is_kept_and_published_when_the_gate_opens(lab: L
     assert not lab.port(index).kept
 
 
+@pytest.mark.parametrize(("depth", "published"), [(0, [4]), (1, [4]), (3, [2, 3, 4]), (9, [1, 2, 3, 4])])
+def test_of_a_latched_publisher_all_is_kept_that_a_late_subscriber_would_get(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, depth: int, published: list[int]
+) -> None:
+    if depth:
+        monkeypatch.setenv("FAKE_LATCHED", str(depth))
+    index = lab.node(0, TIMED | PortFlag.KEEPS, messages=4)
+    until(lambda: lab.port(index).gated == 4, "it has not written all")
+    lab.port(index).gate = OPEN
+    lab.page.ring(index)
+    until(lambda: not lab.port(index).kept, "they are not published")
+    assert [number for _, number, _ in lab.records()] == published
+    assert lab.written_by(index) == len(published)
+
+
 def test_one_written_once_is_published_at_the_change(lab: Lab) -> None:
     old = lab.node(0, TIMED | PortFlag.KEEPS, messages=1)
     baton = lab.port(old).baton

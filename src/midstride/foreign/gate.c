@@ -55,6 +55,19 @@ typedef struct {
   allocator memory;
 } serialized;
 
+/* What is of interest of rmw_qos_profile_t. */
+struct qos {
+  int history;
+  size_t depth;
+  int reliability;
+  int durability;
+};
+/* RMW_QOS_POLICY_HISTORY_KEEP_LAST, RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL */
+#define KEEP_LAST 1
+#define TRANSIENT_LOCAL 1
+/* How many messages of a publisher are kept at most that were written behind the gate. */
+#define MOST_KEPT 1000u
+
 /* The real functions, each found when it is first called: librcl may be loaded after this library. */
 static void *real(_Atomic(void *) *known, const char *name)
 {
@@ -90,6 +103,7 @@ REAL(const char *, rcl_node_get_fully_qualified_name, const void *)
 REAL(int, rcl_publisher_init, void *, const void *, const void *, const char *, const void *)
 REAL(int, rcl_publisher_fini, void *, void *)
 REAL(const char *, rcl_publisher_get_topic_name, const void *)
+REAL(const struct qos *, rcl_publisher_get_actual_qos, const void *)
 REAL(int, rcl_publisher_get_subscription_count, const void *, size_t *)
 REAL(int, rcl_publish, const void *, const void *, void *)
 REAL(int, rcl_publish_serialized_message, const void *, const void *, void *)
@@ -109,6 +123,12 @@ REAL(void, rcutils_reset_error, void)
 
 /* -- the page ------------------------------------------------------------------------------------------------------- */
 
+/* A message that was written behind the gate. */
+struct kept {
+  struct kept *next;
+  serialized bytes;
+};
+
 /* A publisher or subscription of this process whose topic is in the page. */
 struct entry {
   _Atomic(const void *) endpoint; /* NULL: free; REMOVED: removed */
@@ -117,7 +137,8 @@ struct entry {
   unsigned used; /* index of the port among `used_ports` */
   const void *type;
   bool overdue; /* see `enter` */
-  serialized kept; /* the last message that was written behind the gate */
+  struct kept *kept, **kept_end; /* the last messages that were written behind the gate, the oldest first */
+  unsigned keeping, most_kept;   /* how many there are, and may be */
 };
 
 #define ENTRIES 256u
@@ -344,6 +365,16 @@ static unsigned use(struct port *port, unsigned me)
   return index;
 }
 
+/* How many messages of a publisher are kept: of a latched one, as many as a subscriber that comes later gets; else the
+ * last. */
+static unsigned most_kept(const void *publisher)
+{
+  const struct qos *qos = real_rcl_publisher_get_actual_qos() ? real_rcl_publisher_get_actual_qos()(publisher) : NULL;
+  if (!qos || qos->durability != TRANSIENT_LOCAL || (qos->history == KEEP_LAST && qos->depth <= 1))
+    return 1;
+  return qos->history == KEEP_LAST && qos->depth < MOST_KEPT ? (unsigned)qos->depth : MOST_KEPT;
+}
+
 /* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. False where there is no
  * memory for that: the endpoint would have no gate. */
 static bool add(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type)
@@ -368,7 +399,10 @@ static bool add(const void *endpoint, const void *owner, const char *topic, uint
   entry->used = used;
   entry->type = type;
   entry->overdue = false;
-  memset(&entry->kept, 0, sizeof entry->kept);
+  entry->kept = NULL;
+  entry->kept_end = &entry->kept;
+  entry->keeping = 0;
+  entry->most_kept = kind == OUTPUT ? most_kept(endpoint) : 0;
   atomic_store_explicit(&entry->endpoint, endpoint, memory_order_release);
   atomic_fetch_add(&port->endpoints, 1);
   if (!helping) {
@@ -382,10 +416,18 @@ static bool add(const void *endpoint, const void *owner, const char *topic, uint
   return true;
 }
 
-static void discard(struct entry *entry)
+/* Keep at most so many of the messages that are kept, the last ones. With `lock`. */
+static void discard(struct entry *entry, unsigned remaining)
 {
-  free(entry->kept.buffer);
-  memset(&entry->kept, 0, sizeof entry->kept);
+  while (entry->keeping > remaining) {
+    struct kept *oldest = entry->kept;
+    entry->kept = oldest->next;
+    free(oldest->bytes.buffer);
+    free(oldest);
+    entry->keeping--;
+  }
+  if (!entry->kept)
+    entry->kept_end = &entry->kept;
 }
 
 static void forget(const void *endpoint)
@@ -397,7 +439,7 @@ static void forget(const void *endpoint)
   atomic_store_explicit(&entry->endpoint, REMOVED, memory_order_release);
   atomic_fetch_sub(&entry->port->endpoints, 1);
   atomic_store(&entry->port->kept, 0);
-  discard(entry);
+  discard(entry, 0);
   pthread_mutex_unlock(&lock);
 }
 
@@ -518,35 +560,46 @@ static void *zero_allocate(size_t number, size_t size, void *state)
 /* Keep a message that the gate has held back, as bytes: what it refers to is the node's. */
 static void keep(struct entry *entry, const void *message, const serialized *bytes)
 {
-  serialized kept = {.memory = {allocate, deallocate, reallocate, zero_allocate, NULL}};
+  struct kept *kept = calloc(1, sizeof *kept);
+  if (!kept)
+    return;
+  kept->bytes.memory = (allocator){allocate, deallocate, reallocate, zero_allocate, NULL};
+  bool copied;
   if (bytes) {
-    kept.buffer = malloc(bytes->length ? bytes->length : 1);
-    if (!kept.buffer)
-      return;
-    memcpy(kept.buffer, bytes->buffer, bytes->length);
-    kept.length = kept.capacity = bytes->length;
-  } else if (!real_rmw_serialize() || !entry->type || real_rmw_serialize()(message, entry->type, &kept) != 0) {
-    free(kept.buffer);
+    kept->bytes.buffer = malloc(bytes->length ? bytes->length : 1);
+    copied = kept->bytes.buffer != NULL;
+    if (copied)
+      memcpy(kept->bytes.buffer, bytes->buffer, bytes->length);
+    kept->bytes.length = kept->bytes.capacity = bytes->length;
+  } else {
+    copied = real_rmw_serialize() && entry->type && real_rmw_serialize()(message, entry->type, &kept->bytes) == 0;
+  }
+  if (!copied) {
+    free(kept->bytes.buffer);
+    free(kept);
     return;
   }
   pthread_mutex_lock(&lock);
-  discard(entry);
-  entry->kept = kept;
+  *entry->kept_end = kept;
+  entry->kept_end = &kept->next;
+  entry->keeping++;
+  discard(entry, entry->most_kept);
   atomic_store(&entry->port->kept, 1);
   pthread_mutex_unlock(&lock);
 }
 
-/* Publish what is kept, if it may be published now. With `lock`. */
+/* Publish what is kept, in its order, if it may be published now. With `lock`. */
 static void publish_kept(struct entry *entry)
 {
   struct pass pass;
-  if (!entry->kept.buffer || !enter(page, entry->me, descriptor, entry->port, &entry->overdue, &pass))
+  if (!entry->kept || !enter(page, entry->me, descriptor, entry->port, &entry->overdue, &pass))
     return;
   const void *publisher = atomic_load(&entry->endpoint);
-  if (real_rcl_publish_serialized_message()(publisher, &entry->kept, NULL) == 0)
-    count(entry->port, true);
+  for (struct kept *kept = entry->kept; kept; kept = kept->next)
+    if (real_rcl_publish_serialized_message()(publisher, &kept->bytes, NULL) == 0)
+      count(entry->port, true);
   leave(&pass);
-  discard(entry);
+  discard(entry, 0);
   atomic_store(&entry->port->kept, 0);
 }
 

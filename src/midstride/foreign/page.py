@@ -45,7 +45,8 @@ JOINED_WITHIN: Final = 60
 class PortFlag(IntFlag):
     """RATED: its writes are slots. OFFERS: the baton is offered after one. TIMED: no port that shares it is rated.
 
-    KEEPS: of what is written behind the gate, the last message is kept, and published when the gate lets it pass.
+    KEEPS: of what is written behind the gate, the last message is kept, and published when the gate lets it pass; of a
+    latched publisher, as many as its depth.
     SHUT: an input that a probe closes, as long as the lease of the page lasts.
     """
 
