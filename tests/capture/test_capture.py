@@ -125,6 +125,7 @@ def test_a_bound_is_below_what_was_measured_and_has_two_digits() -> None:
     regular = measured([number / 50 for number in range(500)])
     assert regular is not None and regular.bound == 47.0 and regular.mean == pytest.approx(50.0)
     assert str(regular) == ("measured 50 Hz; gaps: median 20 ms, 95 % 20 ms, longest 20 ms; proposed: @ 47 Hz")
+    assert "gaps: median 1 s, 95 % 1 s, longest 1 s;" in str(measured([0.9997 * number for number in range(10)]))
     slow = measured([3.0 * number for number in range(10)])
     assert slow is not None and slow.bound == 0.31
     bursts = measured([number // 2 + 0.01 * (number % 2) for number in range(100)])

@@ -159,6 +159,20 @@ def test_impact(run: Any, patrol: Path) -> None:
     assert run("impact", patrol, "lidr")[0] == 1
 
 
+def test_the_impact_of_a_node_without_ports_is_not_known(run: Any, tmp_path: Path) -> None:
+    file = tmp_path / "robot.stride"
+    plain = 'component Plain { run "true" gate preload }\ncomponent Ends { run "true" once }\n'
+    file.write_text(f"system robot\n{plain}node arm : Plain\nnode ends : Ends\nnode base : Plain\n")
+    listed = ["arm (Plain): not known: no ports are stated", "base (Plain): not known: no ports are stated"]
+    assert run("impact", file)[1].splitlines() == [
+        listed[0],
+        listed[1],
+        "ends (Ends): nothing else degrades",
+        "Not known: what arm and base rely on: no ports are stated.",
+    ]
+    assert run("impact", file, "arm")[1].splitlines()[0] == listed[0]
+
+
 def test_diff(run: Any, patrol: Path) -> None:
     assert run("diff", patrol, patrol) == (0, "No differences.\n", "")
     file = changed(patrol, "threshold = 0.4", "threshold = 0.5")

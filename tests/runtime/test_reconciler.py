@@ -144,6 +144,16 @@ def test_a_component_that_cannot_be_reached_and_may_run_stays_in_the_model(name:
     reconciling(talking(talker=build.source("Talker")), tmp_path, body)
 
 
+def test_of_a_component_whose_exit_is_known_it_is_not_said_that_it_may_run(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.exits(TALKER_EXITED)
+        r.reconciler.on_component_event(Disconnected("talker", exited=False))
+        await moment()
+        assert r.words("note") == []
+
+    reconciling(talking(), tmp_path, body)
+
+
 def test_what_could_not_be_lowered_is_lowered_the_next_time(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
         r.client.reply("listener", ModesCommand, TIMEOUT)

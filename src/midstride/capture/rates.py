@@ -51,4 +51,4 @@ def _quantile(ordered: Sequence[float], share: float) -> float:
 
 
 def _time(seconds: float) -> str:
-    return f"{seconds * 1e3:.3g} ms" if seconds < 1 else f"{seconds:.3g} s"
+    return f"{seconds * 1e3:.3g} ms" if seconds < 0.9995 else f"{seconds:.3g} s"  # what rounds to 1 s is a second

@@ -18,6 +18,7 @@ from midstride.generate.drawn_system import view
 from midstride.model.wording import counted
 from midstride.plan.impact import impacts
 from midstride.plan.specification_diff import differences
+from midstride.verdicts import listed
 
 _FILE = click.Path(path_type=Path)
 
@@ -56,19 +57,25 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
 
     A node without which a functionality of another node is in its last mode is a single point of failure.
     """
-    found = impacts(load(file), nodes)
+    specification = load(file)
+    found = impacts(specification, nodes)
     if wants_json():
         print_json({"impacts": found})
         return 0
+    components = {role: specification.components[node.component] for role, node in specification.nodes.items()}
+    portless = {role for role, component in components.items() if not component.ports() and not component.once}
     for impact in found:
+        none = "not known: no ports are stated" if impact.role in portless else "nothing else degrades"
         mark = "single point of failure: " if impact.single_point_of_failure else ""
         heading = f"{mark}{impact.role} ({impact.component})"
-        click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.impacted else 'nothing else degrades'}")
+        click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.impacted else none}")
         for fall in impact.impacted:
             levels = counted(fall.levels, "mode")
             click.echo(f"  {fall.functionality}: {fall.before} -> {fall.after} ({levels}, weight {fall.weight:g})")
             for reason in fall.because[:1]:
                 click.echo(f"    {reason}")
+    if portless and portless != set(components):
+        click.echo(f"Not known: what {listed(sorted(portless))} rely on: no ports are stated.")
     return 0
 
 

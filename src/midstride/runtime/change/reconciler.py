@@ -99,7 +99,8 @@ class Reconciler:
                 if instance not in self.system.configuration.instances:
                     return
                 if not exited:
-                    self.events.add("note", f"{instance} cannot be reached any more; its process may still run")
+                    if not self.system.life.is_gone(instance):  # else its exit is known
+                        self.events.add("note", f"{instance} cannot be reached any more; its process may still run")
                 # The only sign of exit for a component started by hand; for others the back end reports it.
                 elif not self.system.life[instance].is_owned:
                     self.launcher.disconnected(instance)
