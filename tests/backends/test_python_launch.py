@@ -104,3 +104,62 @@ def test_the_line_of_an_error_is_the_last_one_of_the_file(tmp_path: Path) -> Non
             exec(compile(text, str(file), "exec"), {})
         assert _line_in(caught.value, str(file)) == (str(file), line)
         assert _line_in(caught.value, str(tmp_path / "other.launch.py")) is None
+
+
+LIFECYCLE = """
+from launch import LaunchDescription
+from launch.actions import EmitEvent, RegisterEventHandler, Shutdown
+from launch.events import matches_action
+from launch_ros.actions import LifecycleNode, LifecycleTransition, Node
+from launch_ros.event_handlers import OnStateTransition
+from launch_ros.events.lifecycle import ChangeState
+from lifecycle_msgs.msg import Transition
+
+
+def change(node, transition):
+    return EmitEvent(event=ChangeState(lifecycle_node_matcher=matches_action(node), transition_id=transition))
+
+
+def generate_launch_description():
+    pump, lamp, idle = (
+        LifecycleNode(executable=f"/bin/{name}", name=name, namespace="") for name in ("pump", "lamp", "idle")
+    )
+    return LaunchDescription([
+        RegisterEventHandler(OnStateTransition(
+            target_lifecycle_node=pump, goal_state="inactive", entities=[change(pump, Transition.TRANSITION_ACTIVATE)],
+        )),
+        RegisterEventHandler(OnStateTransition(
+            target_lifecycle_node=pump, goal_state="active", entities=[Node(executable="/bin/mission", name="mission")],
+        )),
+        RegisterEventHandler(OnStateTransition(
+            target_lifecycle_node=pump, goal_state="finalized", entities=[Shutdown()],
+        )),
+        change(pump, Transition.TRANSITION_CONFIGURE),
+        pump,
+        lamp,
+        LifecycleTransition(lifecycle_node_names=["/lamp"], transition_ids=[1, 3]),
+        idle,
+        change(idle, Transition.TRANSITION_ACTIVATE),
+    ])
+"""
+
+
+@pytest.mark.full
+@pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="ROS 2's launch is on no package index")
+def test_lifecycle_nodes_are_taken_through_the_states_that_launch_takes_them_through(tmp_path: Path) -> None:
+    (tmp_path / "robot.launch.py").write_text(LIFECYCLE)
+    found = import_launch_file(tmp_path / "robot.launch.py", {}, dict(os.environ), None, run_python=True)
+    said = [finding.message for finding in found.findings if finding.kind == "lifecycle"]
+    assert [" ".join(message.split()[:4]) for message in said] == [
+        "launch activates `pump` by",
+        "launch activates `lamp` by",
+        "the launch file leaves",
+    ]
+    assert "leaves `idle` unconfigured" in said[2]
+    left = [finding.message for finding in found.findings if finding.left_out]
+    assert left == [
+        "`ChangeState` (activate) of `idle`, which is unconfigured, is left out",
+        "what is done on an event (`OnStateTransition`) that nothing here causes is left out",
+    ]
+    (later,) = (finding.message for finding in found.findings if finding.kind == "later")
+    assert "`mission` is started when `pump` has become active" in later and found.nodes == 4

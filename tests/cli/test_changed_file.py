@@ -20,7 +20,7 @@ def test_a_component_of_the_changed_file_is_named_with_the_way_to_get_it(
     assert midstride("up", str(file), "--backend", "sim", "--detach").status == 0
     refused = midstride("replace", "talker", "Newer", "--yes")
     assert refused.status == 1
-    assert refused.out.endswith("`--from FILE` takes it from the specification that declares it\n")
+    assert refused.out.endswith("`--from FILE` takes `Newer` from the specification that declares it\n")
     component = re.search(r"component NewTalker .*?\n}\n", text, re.DOTALL)
     node = re.search(r"node listener .*\n(?:    .*\n|}\n)*", text)
     assert component is not None and node is not None

@@ -433,7 +433,10 @@ def test_a_variable_that_is_taken_away_is_not_inherited(tmp_path: Path) -> None:
 
 def test_a_lifecycle_node_has_its_gate(tmp_path: Path) -> None:
     found = of_xml(tmp_path, '<lifecycle_node pkg="nav" exec="map" name="map" namespace=""/>')
-    assert 'run "map" package "nav" gate lifecycle' in found.text and kinds(found) == ["package"]
+    assert 'run "map" package "nav" gate lifecycle preload' in found.text and kinds(found) == ["package", "lifecycle"]
+    _, finding = found.findings
+    assert "the launch file leaves `map` unconfigured; here Midstride activates it at its start" in finding.message
+    assert "write `gate preload`" in finding.message and not finding.left_out
 
 
 def test_a_launch_file_in_python_is_a_program_and_not_carried_out_unasked(tmp_path: Path) -> None:
@@ -464,7 +467,7 @@ def found_in_python(file: Path, *processes: Mapping[str, object], left: list[lis
     }
     state = {"namespace": "/top", "remaps": [], "parameters": [], "variables": {"k": "1", "p": "2"}, "environment": {}}
     described = [{**process, **each} for each in processes]
-    return {"processes": described, "left": left or [], "declared": [], "state": state}
+    return {"processes": described, "left": left or [], "declared": [], "files": 2, "state": state}
 
 
 def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -478,9 +481,10 @@ def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.Mo
             "executable": "a",
             "words": ["/opt/a", "--x", "7", "--ros-args", *ros.split()],
             "stop": {"sigterm": 12.0},
+            "state": "active",
             "texts": {"/t/launch_params_1": "/**:\n  ros__parameters:\n    rate: 50.0\n"},
         },
-        left=[["unsupported", "`EmitEvent` in Python is left out", str(tmp_path / "b.launch.py"), 2]],
+        left=[["unsupported", "`OpaqueCoroutine` in Python is left out", str(tmp_path / "b.launch.py"), 2]],
     )
     asked = []
 
@@ -498,9 +502,11 @@ def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.Mo
     found = import_launch_file(tmp_path / "a.launch.xml", {}, {}, tmp_path / "a.stride", run_python=True)
     given = {"variables": {"k": "1", "p": "2"}, "arguments": ["p"], "namespace": "/top", "remaps": [], "parameters": []}
     assert asked == [("b.launch.py", given)]
-    assert kinds(found) == ["argument", "unsupported", "package"]
-    assert [finding.place.rpartition("/")[2] for finding in found.findings][1:] == ["b.launch.py:2", "b.launch.py:1"]
-    assert 'run "a --x 7 --ros-args -r in:=/out" package "demo" stop sigterm 12 s gate lifecycle' in found.text
+    assert kinds(found) == ["argument", "unsupported", "package", "lifecycle"] and found.files == 3
+    places = [finding.place.rpartition("/")[2] for finding in found.findings]
+    assert places[1:] == ["b.launch.py:2", "b.launch.py:1", "b.launch.py:1"]
+    assert "launch activates `top/g/a` by events; here Midstride does" in str(list(found.findings)[-1])
+    assert 'run "a --x 7 --ros-args -r in:=/out" package "demo" stop sigterm 12 s gate lifecycle preload' in found.text
     assert "rate = 50.0" in found.text and 'parameters "a.yaml"' in found.text and "namespace top/g" in found.text
 
 
@@ -595,6 +601,18 @@ def test_a_launch_file_of_ros_1_is_called_one(tmp_path: Path) -> None:
     assert "a launch file of ROS 1" in str(next(iter(found.findings))) and found.nodes == 1
 
 
+def test_a_section_with_the_name_of_a_node_and_another_namespace_is_named_as_a_mistake(tmp_path: Path) -> None:
+    values = "ros__parameters: {rate: 1}"
+    (tmp_path / "a.yaml").write_text(f"n:\n  {values}\n/**/m:\n  {values}\nother:\n  {values}\n")
+    body = "".join(f'<node exec="./{name}" name="{name}"><param from="$(dirname)/a.yaml"/></node>' for name in "nm")
+    found = of_xml(tmp_path, f'<group><push-ros-namespace namespace="robot"/>{body}</group>')
+    (finding,) = found.findings
+    assert finding.kind == "parameters" and not finding.left_out
+    assert "the section `n` is for the node `/n`; ROS does not give it to `/robot/n`" in finding.message
+    assert finding.message.endswith("write `/robot/n:` or `/**/n:`")
+    assert kinds(of_xml(tmp_path, body)) == []
+
+
 def test_what_a_specification_needs_of_other_folders_is_in_its_first_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -613,6 +631,7 @@ def test_what_a_specification_needs_of_other_folders_is_in_its_first_line(
     assert "rate = 1" in found.text and "a.yaml" not in found.text and found.text.startswith("# Imported from")
     (finding,) = found.findings
     assert "what is for no node named here (`inner`) is left out" in finding.message
+    assert f"`midstride --include-path {os.path.realpath(tmp_path)}/config import …`" in finding.message
     monkeypatch.setenv(INCLUDE_PATH, str(tmp_path / "config"))
     found = import_launch_file(launch, {}, given, tmp_path / "robot" / "a.stride")
     assert len(found.findings) == 0

@@ -88,10 +88,13 @@ def test_a_manager_of_which_a_node_is_not_here_goes_on_in_either_case(tmp_path: 
 def test_a_lifecycle_node_of_a_manager_that_goes_on_has_no_gate_by_which_midstride_manages_it(tmp_path: Path) -> None:
     node = '<lifecycle_node pkg="nav" exec="planner" name="controller_server" namespace=""/>'
     alone = of(tmp_path, node)
-    assert alone[1] == {"controller_server": "lifecycle"} and alone[2] == []
+    assert alone[1] == {"controller_server": "lifecycle preload"}
+    (said,) = alone[2]
+    assert "the launch file leaves `controller_server` unconfigured" in said
     names = "[controller_server]"
-    assert of(tmp_path, node + manager(names=names))[1]["controller_server"] == "preload"
-    assert of(tmp_path, node + manager(names=names), "midstride")[1] == {"controller_server": "lifecycle"}
+    _, gates, (said,) = of(tmp_path, node + manager(names=names))
+    assert gates["controller_server"] == "preload" and "goes on with it" in said
+    assert of(tmp_path, node + manager(names=names), "midstride")[1] == {"controller_server": "lifecycle preload"}
 
 
 def test_a_specification_in_which_both_manage_a_node_is_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
@@ -32,7 +33,8 @@ class ReadableFiles:
         if endings and not path.endswith(endings):
             raise UnknownValue(f"its name does not end in {' or '.join(endings)}", "include")
         if not self._bounds.contain(path) and not self._is_installed(path):
-            remedy = "allow its folder by `midstride --include-path DIR import`"
+            folder = shlex.quote(os.path.dirname(os.path.realpath(path)))
+            remedy = f"allow its folder: `midstride --include-path {folder} import …`"
             raise UnknownValue(f"it is not below the folder of the launch file; {remedy}", "include")
         if path not in self._read:
             if len(self._read) >= MAX_FILES or self._total > MAX_TOTAL:

@@ -22,7 +22,7 @@ KINDS: Final = {
     "composable": "a component in a container is left out: it shares its process with others",
     "parameters": "a parameter or a parameter file is left out",
     "name": "a node has no name, or one that another node or the language uses; it gets another name",
-    "lifecycle": "a lifecycle manager manages nodes; it goes on with that, or Midstride does, without it",
+    "lifecycle": "a lifecycle manager manages nodes, and goes on, or Midstride does, as of a node that no manager has",
     "once": "a program ends when it has done its work, and launch lets it: it is `once`, and not run again",
     "program": "the launch file does not say that a program is a node",
     "restart": "a process is restarted in another way, or without end, as launch does",

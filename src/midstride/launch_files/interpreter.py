@@ -82,7 +82,7 @@ class Interpreter(NodeElements):
         if path.endswith(".py"):
             self._python(path, context)
             return
-        source = self.files.source(path, *ENDINGS)
+        source = self.files.source(path, *ENDINGS, ".py")
         try:
             root = read_entity(source)
         except NotALaunchFile as error:
@@ -130,7 +130,7 @@ class Interpreter(NodeElements):
             "parameters": rules,
         }
         found = carried_out(path, given, context.environment)
-        self.system.files += 1
+        self.system.files += found["files"]
         for name in found["declared"]:
             self.undeclared.pop(name, None)
         for kind, message, file, line in found["left"]:

@@ -31,6 +31,7 @@ def with_one_manager(
     Where Midstride is asked for, it takes the place of each manager of which all nodes are here.
     """
     kept, here, orders = {node.role: node for node in nodes}, {node.role for node in nodes}, []
+    by_managers: set[str] = set()
     for node in nodes:
         effective = parameters[node.role].effective
         roles = [name.strip("/") for name in managed_nodes(f"/{node.role}", effective)]
@@ -40,15 +41,26 @@ def with_one_manager(
         if not managed:
             continue
         takes_over = management == "midstride" and not away
-        gate = {"preload": "lifecycle preload", "lifecycle": "lifecycle"} if takes_over else {"lifecycle": "preload"}
         for role in managed:
-            kept[role] = replace(kept[role], gate=gate.get(kept[role].gate, kept[role].gate))
+            kept[role] = replace(kept[role], gate="lifecycle preload" if takes_over else "preload")
         if takes_over:
             del kept[node.role]
             orders += [(kept[one], kept[other]) for one, other in pairwise(managed) if kept[one].at == kept[other].at]
         words = "; ".join(_words(node.role, managed, away, effective, management))
         findings.add("lifecycle", words, node.span, left_out=False)
+        by_managers |= set(managed)
+    for node in nodes:
+        if node.state and node.role not in by_managers:
+            findings.add("lifecycle", _unmanaged(node), node.span, left_out=False)
     return ManagedLifecycle(list(kept.values()), tuple(orders))
+
+
+def _unmanaged(node: LaunchedNode) -> str:
+    """What becomes of a lifecycle node that no manager of the launch file has."""
+    if node.state == "active":
+        return f"launch activates `{node.role}` by events; here Midstride does, and manages its lifecycle"
+    what = f"the launch file leaves `{node.role}` {node.state}; here Midstride activates it at its start"
+    return f"{what}: write `gate preload` where something else manages its lifecycle"
 
 
 def _words(

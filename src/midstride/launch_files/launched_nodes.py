@@ -25,7 +25,8 @@ class LaunchedNode:
     The first word of ``command`` is an executable of ``package``, if there is one; ``prefix`` stands before it.
     ``stop``: what of the language's `stop` is stated. ``environment`` has None for a variable that the process does not
     inherit. ``later``: what it waits for, if it is started after others, and ``at`` how long after the first ones (s),
-    infinite if it follows the end of a process.
+    infinite if it follows the end of a process. ``state``: to which state the launch file takes a lifecycle node; empty
+    for any other node.
     """
 
     name: str
@@ -45,6 +46,7 @@ class LaunchedNode:
     unnamed: bool = False
     later: str = ""
     at: float = 0.0
+    state: str = ""
 
     @property
     def role(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -49,7 +50,7 @@ class ParameterReader:
         self._findings = findings
         self._may_name = may_name
         self._sections: dict[tuple[str, str | None], list[SectionInFile] | None] = {}
-        self._in_text: dict[str, tuple[Span, list[SectionInFile]]] = {}
+        self._files_read: dict[str, tuple[Span, list[SectionInFile], bool]] = {}
 
     def parameters(self, node: LaunchedNode) -> LaunchedParameters:
         """What ROS gives the node: of the sections that apply to it, in the order in which each is first met, the last.
@@ -73,8 +74,9 @@ class ParameterReader:
                 if section.matches(node.role):
                     of_files |= {name: value for name, (value, _) in section.values.items()}
         for given, sections in read:
-            if given.path is not None and all(given.path != path for path, _ in named):
-                self._in_text.setdefault(given.path, (given.span, sections))
+            if given.path is not None:
+                is_named = any(given.path == path for path, _ in named)
+                self._files_read.setdefault(given.path, (given.span, sections, is_named))
         return LaunchedParameters(
             list(dict.fromkeys(path for path, _ in named)),
             {name: value for name, value in effective.items() if name not in of_files},
@@ -83,16 +85,30 @@ class ParameterReader:
         )
 
     def note_other_sections(self, nodes: Sequence[LaunchedNode]) -> None:
-        """Name the sections of files that are not named in the specification, and apply to no node of it.
+        """Name the sections of files that apply to no node of the specification.
 
-        They may be those of further nodes in the processes.
+        One with the name of a node, but another namespace, is a mistake that ROS does not report. Others may be for
+        further nodes in the processes; they are left out where the specification does not name their file.
         """
-        for path, (span, sections) in self._in_text.items():
+        for path, (span, sections, is_named) in self._files_read.items():
+            name = os.path.basename(path)
             lost = [section.pattern for section in sections if not any(section.matches(node.role) for node in nodes)]
-            if lost:
-                few = ", ".join(f"`{name}`" for name in dict.fromkeys(lost[:4])) + (", …" if len(lost) > 4 else "")
-                remedy = "to name the file itself, allow its folder by `midstride --include-path DIR import`"
-                what = f"of `{os.path.basename(path)}`, what is for no node named here ({few}) is left out"
+            of_others = []
+            for pattern in dict.fromkeys(lost):
+                meant = [node.role for node in nodes if f"/{node.role}".endswith(f"/{pattern.strip('/')}")]
+                if meant:
+                    message = (
+                        f"in `{name}`, the section `{pattern}` is for the node `/{pattern.strip('/')}`; ROS does not "
+                        f"give it to `/{meant[0]}`: write `/{meant[0]}:` or `/**/{meant[0].rpartition('/')[2]}:`"
+                    )
+                    self._findings.add("parameters", message, span, left_out=False)
+                else:
+                    of_others.append(pattern)
+            if of_others and not is_named:
+                few = ", ".join(f"`{each}`" for each in of_others[:4]) + (", …" if len(of_others) > 4 else "")
+                folder = shlex.quote(os.path.dirname(os.path.realpath(path)))
+                remedy = f"to name the file itself, allow its folder: `midstride --include-path {folder} import …`"
+                what = f"of `{name}`, what is for no node named here ({few}) is left out"
                 self._findings.add("parameters", f"{what}; {remedy}", span)
 
     def _read(self, given: ParametersGiven, node: LaunchedNode) -> list[SectionInFile] | None:

@@ -72,7 +72,8 @@ class NodeElements:
             remaps=(*ros.remaps, *context.remaps, *self._remaps(entity, context)),
             ros_arguments=tuple(ros.others),
             package=package,
-            gate="lifecycle" if entity.tag == "lifecycle_node" else "preload",
+            gate=_gate(state := "unconfigured" if entity.tag == "lifecycle_node" else ""),
+            state=state,
             unnamed=(stated or ros.name) is None,
         )
         section = f"{namespace.rstrip('/')}/{stated}" if stated and namespace is not None else "/**"
@@ -178,7 +179,8 @@ class NodeElements:
             ros_arguments=tuple(ros.others),
             unnamed=ros.name is None,
             package=package,
-            gate="lifecycle" if found["type"] == "LifecycleNode" else "preload",
+            gate=_gate(found.get("state", "")),
+            state=found.get("state", ""),
         )
 
     def container(self, entity: Entity, context: Context) -> None:
@@ -506,6 +508,11 @@ def _seconds(stated: object) -> float | None:
         if isinstance(stated, (int, float, str)) and 0 <= (found := float(stated)) <= MAX_NUMBER:
             return found
     return None
+
+
+def _gate(state: str) -> str:
+    """The gate of a node whose lifecycle has a ``state``, or that has none: Midstride manages it unless others do."""
+    return "lifecycle preload" if state else "preload"
 
 
 def _is_node(entity: Entity) -> bool:

@@ -269,8 +269,10 @@ def _in_changed_file(client: Client, request: Document) -> str | None:
     nodes = [name for name in nodes if name not in running.nodes]
     if not (components or nodes):
         return None
-    hint = in_file(client.status().file, components=components, nodes=nodes)
-    return hint or ("`--from FILE` takes it from the specification that declares it" if components else None)
+    if hint := in_file(client.status().file, components=components, nodes=nodes):
+        return hint
+    unknown = ", ".join(f"`{name}`" for name in components)
+    return f"`--from FILE` takes {unknown} from the specification that declares it" if components else None
 
 
 def _change(

@@ -24,6 +24,17 @@ _UNSTATED: Final = 5.0
 _AT_EXIT: Final = float("inf")  # when processes end, which is later than any time
 # Variables of a process that launch itself and this process set.
 _OWN_VARIABLES: Final = frozenset({"ROS_LOG_DIR", "TMPDIR"})
+# The transitions of a lifecycle node by their numbers in lifecycle_msgs/msg/Transition: name, start, while it lasts,
+# goal.
+_TRANSITIONS: Final = {
+    1: ("configure", "unconfigured", "configuring", "inactive"),
+    2: ("cleanup", "inactive", "cleaningup", "unconfigured"),
+    3: ("activate", "inactive", "activating", "active"),
+    4: ("deactivate", "active", "deactivating", "inactive"),
+    5: ("shutdown", "unconfigured", "shuttingdown", "finalized"),
+    6: ("shutdown", "inactive", "shuttingdown", "finalized"),
+    7: ("shutdown", "active", "shuttingdown", "finalized"),
+}
 
 # A file and a line.
 Place = tuple[str, int]
@@ -44,10 +55,12 @@ class _Visitor:
         import launch
         import launch.actions
         import launch_ros.actions
+        from launch_ros.events.lifecycle import ChangeState
 
         self._launch: Any = launch
         self._actions: Any = launch.actions
         self._ros: Any = launch_ros.actions
+        self._change_state: Any = ChangeState
         self._before = dict(os.environ)
         self.context: Any = launch.LaunchContext(noninteractive=True)
         self.context._set_asyncio_loop(asyncio.new_event_loop())
@@ -70,6 +83,10 @@ class _Visitor:
         self._later: list[tuple[float, int, Any, dict[str, Any], Place]] = []
         self._missing: set[str] = set()
         self._labels: dict[int, str] = {}
+        # The lifecycle nodes that are started, and what waits for a change of their states.
+        self._lifecycle_nodes: list[tuple[Any, dict[str, Any]]] = []
+        self._state_handlers: list[tuple[Any, Place]] = []
+        self.files = 0
 
     def note(self, kind: str, message: str, place: Place | None = None) -> None:
         """A finding, at the action that is visited unless stated."""
@@ -107,6 +124,9 @@ class _Visitor:
             self.context.extend_locals(how["locals"])
             self._all(actions)
             self.context._pop_locals()
+        for handler, place in self._state_handlers:
+            message = f"what is done on an event (`{type(handler).__name__}`) that nothing here causes is left out"
+            self.note("unsupported", message, place)
         return state
 
     def _all(self, entities: Iterable[Any] | None) -> None:
@@ -145,7 +165,11 @@ class _Visitor:
         elif isinstance(entity, self._ros.SetUseSimTime):
             message = "`SetUseSimTime` sets the time of launch's own node, and of no other; it is left out"
             self.note("unsupported", message)
-        elif isinstance(entity, (self._actions.EmitEvent, self._actions.OpaqueCoroutine)):
+        elif isinstance(entity, self._actions.EmitEvent):
+            self._send(entity.event)
+        elif isinstance(entity, self._change_state):
+            self._change(entity)
+        elif isinstance(entity, self._actions.OpaqueCoroutine):
             self.note("unsupported", f"`{name}` in Python is left out")
         else:
             self._all(entity.visit(self.context))
@@ -172,6 +196,7 @@ class _Visitor:
             where = _line_in(error, file)
             self.note("python" if where else "include", f"`{os.path.basename(file)}`: {_described(error)}", where)
             return
+        self.files += 1
         file = entity._get_launch_file()
         self.context.extend_locals(
             {"current_launch_file_path": file, "current_launch_file_directory": entity._get_launch_file_directory()}
@@ -228,6 +253,8 @@ class _Visitor:
         label = self._labels.get(id(target), "a process")
         if kind == "OnShutdown":
             return self.note("unsupported", "what is done at the shutdown is left out")
+        if kind == "OnStateTransition":
+            return self._state_handlers.append((handler, self._place))
         if not actions or kind not in {"OnProcessExit", "OnProcessStart", "OnExecutionComplete"}:
             function = getattr(handler, "_OnActionEventBase__on_event", None)
             return self._function(function, f"on an event (`{kind}`) of `{label}`", self._event(kind, target))
@@ -295,6 +322,48 @@ class _Visitor:
             pass
         return f"`{type(entity).__name__}`"
 
+    # -- lifecycle -------------------------------------------------------------------------------------------
+
+    def _send(self, event: Any) -> None:
+        """Launch looks at an event when it has carried out what it is doing."""
+        if isinstance(event, self._change_state):
+            self._postpone(self._now(), "", [event])
+        elif type(event).__name__ == "Shutdown":
+            self.note("unsupported", "`EmitEvent` of `Shutdown` is left out: it would end all that was started")
+        else:
+            self.note("unsupported", f"`EmitEvent` of `{type(event).__name__}` in Python is left out")
+
+    def _change(self, event: Any) -> None:
+        """Take the nodes that are meant to another state, as where all goes well."""
+        name, start, lasting, goal = _TRANSITIONS.get(event.transition_id, ("", "", "", ""))
+        meant = [(node, found) for node, found in self._lifecycle_nodes if event.lifecycle_node_matcher(node)]
+        if not meant or any(found["state"] != start for _, found in meant):
+            of = ", ".join(f"`{_role(node)}`, which is {found['state']}," for node, found in meant)
+            what = f"`ChangeState` ({name or event.transition_id}) of {of or 'what is no lifecycle node here'}"
+            self.note("unsupported", f"{what} is left out")
+            return
+        for node, found in meant:
+            found["state"] = goal
+            for entered in ((name, start, lasting), ("transition_success", lasting, goal)):
+                self._state_changed(node, *entered)
+
+    def _state_changed(self, node: Any, transition: str, start: str, goal: str) -> None:
+        """Carry out what waits for this, once: launch would do it each time."""
+        from launch_ros.events.lifecycle import StateTransition
+        from lifecycle_msgs.msg import TransitionEvent
+
+        message: Any = TransitionEvent()
+        message.transition.label, message.start_state.label, message.goal_state.label = transition, start, goal
+        event = StateTransition(action=node, msg=message)
+        for entry in [each for each in self._state_handlers if each[0].matches(event)]:
+            self._state_handlers.remove(entry)
+            handler, place = entry
+            entities = handler.entities
+            actions = entities if isinstance(entities, (list, tuple)) else [entities]
+            outer, self._place = self._place, place
+            self._postpone(self._now(), f"when `{_role(node)}` has become {goal}", actions)
+            self._place = outer
+
     # -- processes -------------------------------------------------------------------------------------------
 
     def _process(self, action: Any) -> None:
@@ -328,6 +397,9 @@ class _Visitor:
             "texts": {},
             "stop": dict(self._stop(action)),
         }
+        if isinstance(action, self._ros.LifecycleNode):
+            found["state"] = "unconfigured"
+            self._lifecycle_nodes.append((action, found))
         label = found["executable"] or os.path.basename(words[before]) if len(words) > before else ""
         if described.name is not None:
             label = self._text(described.name)
@@ -388,6 +460,11 @@ class _Visitor:
             return "" if value is None else str(value)
         parts: Iterable[Any] = value if isinstance(value, (list, tuple)) else [value]
         return "".join(self.context.perform_substitution(part) if not isinstance(part, str) else part for part in parts)
+
+
+def _role(node: Any) -> str:
+    """The full name of a node that is started, without the outer slash."""
+    return str(node.node_name).strip("/")
 
 
 def _described(error: BaseException) -> str:
@@ -486,7 +563,13 @@ def main(file: str, exchange: str) -> int:
     _with_places([os.path.dirname(os.path.abspath(str(each.__file__))) for each in (launch, launch_ros)])
     _without_effect(visitor)
     state = visitor.main(file)
-    found = {"processes": visitor.processes, "left": visitor.left, "declared": visitor.declared, "state": state}
+    found = {
+        "processes": visitor.processes,
+        "left": visitor.left,
+        "declared": visitor.declared,
+        "files": visitor.files,
+        "state": state,
+    }
     Path(exchange).write_text(json.dumps(found, default=str), encoding="utf-8")
     return 0
 
