@@ -23,7 +23,7 @@ from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, Node
 from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
-from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, STATE_TIMEOUT, NodeLifecycle
+from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, STATE_TIMEOUT, NodeLifecycle, taken_down
 from midstride.foreign.node import WATCH, ForeignNode, without_ports
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.replaced_node import lacks
@@ -337,7 +337,7 @@ class ForeignAgent:
             self.node.change_record(was_active=True)
         if state == ACTIVE or not self.node.record.was_active:
             return []
-        return [f"lifecycle node {self.node.record.node} is {state}, and was active before"]
+        return [taken_down(self.node.record.node, state)]
 
     async def _heartbeat(self) -> None:
         """Report twice a second, and soon after a baton has moved, which the nodes do without a command.

@@ -25,6 +25,11 @@ STATE_TIMEOUT: Final = 2.0
 INTERVAL: Final = 0.05
 
 
+def taken_down(node: str, state: str) -> str:
+    """Return in words that the node of this full name is in ``state``, and was active before."""
+    return f"lifecycle node {node} is {state}, and was active before"
+
+
 class NodeLifecycle:
     """The lifecycle of the node of ``instance``. ``state`` is the last one that the node reported.
 

@@ -11,6 +11,7 @@ The relay is the parent of the program. If the program ends, it ends; if it ends
 
 from __future__ import annotations
 
+import asyncio
 import math
 import os
 import signal
@@ -25,11 +26,13 @@ import msgspec
 
 from midstride.errors import MidstrideError, NodeError
 from midstride.foreign.gated_reflex import inputs_of
-from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.graph_check import GraphEndpoint, Served
+from midstride.foreign.lifecycle_transitions import ACTIVE
 from midstride.foreign.mode_parameters import on_entry, set_parameters
 from midstride.foreign.relay_endpoints import ProgramEndpoints
+from midstride.foreign.relayed_lifecycle import RelayAgent, RelayedLifecycle, followed
 from midstride.foreign.relayed_program import KILLED, RelayedProgram, RelayOrder
-from midstride.foreign.services import ParameterSetter
+from midstride.foreign.services import NodeServices, ParameterSetter
 from midstride.model.component import FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, QoS
 from midstride.node.author.declaration import DeclaredParts
@@ -39,7 +42,6 @@ from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.modes import DeclaredMode
 from midstride.node.author.ports import Input, InputLink, Output
 from midstride.node.component_host import Host
-from midstride.node.control.component_agent import Agent
 from midstride.node.loaded_program import ProgramFiles
 from midstride.node.process_context import ProcessContext, find
 
@@ -59,6 +61,8 @@ class RelayPlatform:
     ``advertises_late``: a program may create a publisher only when it has something to publish, so none is waited for.
     ``parameters``: sets those of the program's node; called on the data thread. None where there is no such service.
     ``nodes``: the full names of the nodes in an enclave; None where the platform has no enclaves.
+    ``served``: what the graph shows of a node that others may rely on, and ``services``: what it can be asked, and
+    whether its lifecycle state can be changed; called on the data thread. None where nodes have no lifecycle.
     """
 
     host: Callable[[ProcessContext], Host]
@@ -68,6 +72,8 @@ class RelayPlatform:
     advertises_late: bool = False
     parameters: Callable[[Host, RelayOrder], ParameterSetter] | None = None
     nodes: Callable[[Host, str], Sequence[str]] | None = None
+    served: Callable[[Host, str], Served] | None = None
+    services: Callable[[Host, str, bool], NodeServices] | None = None
 
 
 def patient(qos: QoS, rate: float | None) -> QoS:
@@ -138,6 +144,7 @@ class RelayComponent:
         self._fault: str | None = None  # why the relay must end
         self.host: Host | None = None
         self._parameters: ParameterSetter | None = None
+        self._lifecycle: RelayedLifecycle | None = None
         self.parts = DeclaredParts()
         self.relays: dict[str, Relay] = {}
         for name in component.input_order:
@@ -210,9 +217,47 @@ class RelayComponent:
                 self.order.write(self._path)
         for relay in self.relays.values():
             relay.subscribe(self.host)
+        self._follow(self.host)
         if self._platform.parameters is not None and self.parts.callbacks.before_modes is not None:
             self._parameters = self._platform.parameters(self.host, self.order)
         self._program_endpoints().wait()
+
+    def _follow(self, host: Host) -> None:
+        """Take a lifecycle node that another program manages to the state of the one that it replaces.
+
+        Nothing else would: its manager knows the old one, by its name. Raises NodeError.
+        """
+        order, platform = self.order, self._platform
+        if not order.predecessor or platform.services is None or self._lifecycle is None:
+            return
+        endpoints, lifecycle = self._program_endpoints(), self._lifecycle
+        old = platform.services(host, order.predecessor, False)
+        new = platform.services(host, order.node, True)
+        try:
+            state = asyncio.run(
+                followed(
+                    host.instance,
+                    self.component,
+                    old,
+                    new,
+                    lambda: endpoints.becomes(lambda: lifecycle.served().has_lifecycle),
+                )
+            )
+        finally:
+            old.close()
+            new.close()
+        lifecycle.was_active = state == ACTIVE
+
+    def _lifecycle_of(self, host: Host) -> RelayedLifecycle | None:
+        platform = self._platform
+        served, services = platform.served, platform.services
+        if served is None or services is None:
+            return None
+
+        async def connect(node: str) -> NodeServices:
+            return await host.on_data(lambda: services(host, node, False))
+
+        return RelayedLifecycle(lambda: self.order.node, lambda: served(host, self.order.node), connect)
 
     async def _before_modes(self, modes: Mapping[str, str]) -> None:
         """Set what these modes, by functionality, state. Raises CommandRefused with the node's reason."""
@@ -241,7 +286,10 @@ class RelayComponent:
         context = find()
         self.host = host = self._platform.host(context)
         files = ProgramFiles({}, context.started)
-        agent = Agent(self.parts, self.component, host, context.token, os.getpid(), None, files, context.diagnostics)
+        self._lifecycle = lifecycle = self._lifecycle_of(host)
+        agent = RelayAgent(
+            self.parts, self.component, host, context.token, os.getpid(), None, files, context.diagnostics, lifecycle
+        )
         self.program.watch(agent.stop)
 
         def went_past(fault: str) -> None:

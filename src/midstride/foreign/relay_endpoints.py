@@ -47,6 +47,16 @@ class ProgramEndpoints:
             raise NodeError(self._without_node("no node in its enclave", "the enclave"))
         return search.node
 
+    def becomes(self, has_lifecycle: Callable[[], bool]) -> bool:
+        """Wait until it is a lifecycle node, or has what is declared; return whether it is one. Raises NodeError."""
+        begun = time.monotonic()
+        while not (found := has_lifecycle()) and time.monotonic() - begun < endpoints_seconds(self.component):
+            self._require_running()
+            if self.component.ports() and not self._missing(self._shown()[0] or ()):
+                break
+            time.sleep(NODE_LOOK)
+        return found
+
     def wait(self) -> None:
         """Return once the program has what is declared. Raises NodeError, at once where it cannot come true."""
         begun = time.monotonic()

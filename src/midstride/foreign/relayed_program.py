@@ -32,7 +32,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
 
     ``enclave``: that of the process of a program that gives its node its name itself; the node is found in it, and
     ``node`` is the name that is expected until then, empty where none is known. ``unnamed``: it was not passed a name.
-    ``role``: what it is an instance of.
+    ``role``: what it is an instance of. ``predecessor``: the full name of the lifecycle node that it replaces, if any.
     ``topics``: by port, the full name of the topic that the program uses, which for an output is private.
     ``real``: by output that is attached, the topic on which the relay publishes. ``environment``: the variables that
     are others for the program than for the relay; None: it has none. ``stated``: the parameters that the specification
@@ -49,6 +49,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
     enclave: str = ""
     unnamed: bool = False
     role: str = ""
+    predecessor: str = ""
 
     @property
     def stop(self) -> StopTimes:

@@ -100,7 +100,7 @@ def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         message = f"{name} states how its process is ended, but has no gate: it uses Midstride's API, and ends in order"
         help = "omit `stop`; `on_stop(…, timeout=…)` in its code says how long that may take"
         yield Problem(_CODE, (*path, "stop_seconds"), message, help)
-    if component.activate_seconds is not None and component.has_agent:
+    if component.activate_seconds is not None and component.gate is None:
         message = f"{name} states how long it may take to activate, but it is no lifecycle node"
         help = 'omit it, or state the gate: `run "…" gate lifecycle`'
         yield Problem(_CODE, (*path, "activate_seconds"), message, help)

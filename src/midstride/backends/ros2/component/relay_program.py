@@ -12,9 +12,8 @@ from midstride.backends.common_messages import message_class
 from midstride.backends.ros2.component.host import Ros2Host
 from midstride.backends.ros2.component.port_endpoints import serialized
 from midstride.backends.ros2.manager.graph import Graph
-from midstride.backends.ros2.manager.node_services import RosNodeServices
+from midstride.backends.ros2.manager.node_services import LIFECYCLE, PARAMETERS, RosNodeServices
 from midstride.foreign.relay import RelayPlatform, run_relay
-from midstride.foreign.relayed_program import RelayOrder
 
 
 class _NotExecuted(CallbackGroup):  # type: ignore[misc]
@@ -24,10 +23,11 @@ class _NotExecuted(CallbackGroup):  # type: ignore[misc]
         return False
 
 
-def parameters(host: Any, order: RelayOrder) -> RosNodeServices:
-    services = RosNodeServices(host.ros_node, order.node, _NotExecuted())
-    host.leave_out(services.connect())
-    return services
+def services(host: Any, node: str, *names: str) -> RosNodeServices:
+    made = RosNodeServices(host.ros_node, node, _NotExecuted())
+    for client in made.connect(*names):
+        host.leave_out(client)
+    return made
 
 
 PLATFORM = RelayPlatform(
@@ -35,8 +35,11 @@ PLATFORM = RelayPlatform(
     type_of=lambda name: serialized(message_class(name)),
     decoder=lambda name: partial(deserialize_message, message_type=message_class(name)),
     graph=lambda host, order: Graph(host.ros_node).of_process(order.node) or None,
-    parameters=parameters,
+    parameters=lambda host, order: services(host, order.node, "set_parameters_atomically"),
     nodes=lambda host, enclave: Graph(host.ros_node).of_enclave(enclave),
+    served=lambda host, node: Graph(host.ros_node).served_by(node),
+    # What has a client of `change_state` is taken for a lifecycle manager.
+    services=lambda host, node, changes: services(host, node, *LIFECYCLE[: 1 + changes], *PARAMETERS),
 )
 
 if __name__ == "__main__":

@@ -150,11 +150,19 @@ class ForeignNodes:
             enclave=self._enclave(launch, component),
             unnamed=not name.passed,
             role=launch.role,
+            predecessor=self._lifecycle_node(launch),
         )
         path = order_file(self._folder, launch.instance)
         order.write(path)
         self._relays(launch.instance, order)
         return path
+
+    def _lifecycle_node(self, launch: Launch) -> str:
+        """The full name of the lifecycle node that an instance replaces; empty where there is none."""
+        if not launch.predecessor or self._served is None:
+            return ""
+        node = self._node_name(launch.predecessor, launch.namespace)
+        return node if self._served(node).has_lifecycle else ""
 
     def describe(
         self, launch: Launch, component: ComponentSpec, name: StartName, environment: Mapping[str, str]

@@ -21,6 +21,13 @@ INTERVAL: Final = 0.002
 AGAIN: Final = 1.0
 Lost: TypeAlias = Callable[[], Awaitable[bool]]
 _SETTING: Final = (parameter_srv.SetParametersAtomically, "set_parameters_atomically")
+LIFECYCLE: Final = ("get_state", "change_state")
+PARAMETERS: Final = ("list_parameters", "get_parameters")
+_TYPES: Final[Mapping[str, Any]] = {
+    **dict(zip(LIFECYCLE, (GetState, ChangeState), strict=True)),
+    **dict(zip(PARAMETERS, (parameter_srv.ListParameters, parameter_srv.GetParameters), strict=True)),
+    _SETTING[1]: _SETTING[0],
+}
 _TRANSITIONS: Final = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4, "shutdown": 5}
 
 
@@ -38,12 +45,12 @@ class RosNodeServices:
         self._clients: dict[str, Any] = {}
         self._waiting: dict[str, dict[int, asyncio.Future[Any]]] = {}  # by service, and number of the request
 
-    def connect(self) -> Any:
-        """Make the client that sets parameters, in the thread that may create endpoints, and return it."""
-        type_, service = _SETTING
-        client = self._node.create_client(type_, f"{self._name}/{service}", callback_group=self._group)
-        self._clients[service] = client
-        return client
+    def connect(self, *services: str) -> list[Any]:
+        """Make the clients of these services, in the thread that may create endpoints, and return them."""
+        for service in services:
+            name = f"{self._name}/{service}"
+            self._clients[service] = self._node.create_client(_TYPES[service], name, callback_group=self._group)
+        return list(self._clients.values())
 
     def close(self) -> None:
         for client in self._clients.values():
