@@ -26,7 +26,7 @@ from midstride.wire.frames import Reply, Request
 from midstride.wire.state import ComponentState
 
 # How often the graph and the node are asked (s).
-LOOK: Final = 2.0
+LOOK: Final = 1.0
 # How long the old node may take to say its state to a relay that has just joined (s).
 _JOINED: Final = 5.0
 
