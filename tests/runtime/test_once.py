@@ -70,11 +70,13 @@ def up(
     programs: Path,
     body: Body,
     options: SystemOptions = NO_OPTIONS,
+    prepare: Callable[[Simulator], None] = lambda _: None,
 ) -> None:
     simulator = Simulator()
 
     async def main() -> None:
         manager = Manager(specification, simulator, Workspace(folder), programs, options=options)
+        prepare(simulator)
         try:
             await body(manager, simulator, await manager.up())
         finally:
@@ -213,7 +215,7 @@ def test_a_failure_is_that_of_a_node_and_follows_respawn(tmp_path: Path, program
 
 
 def test_one_that_keeps_running_fails_after_a_stated_time(tmp_path: Path, programs: Path) -> None:
-    (programs / "setup.py").write_text("import time\nwhile True:\n    time.sleep(1)\n")
+    (programs / "setup.py").write_text(HANGS)
 
     async def body(manager: Manager, simulator: Simulator, report: UpReport) -> None:
         assert report.missing["setup"].startswith("setup has not ended within 70 s")
@@ -249,6 +251,78 @@ async def die(manager: Manager, command: Coroutine[Any, Any, object], instance: 
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
     await manager.close()
+
+
+HANGS = "import time\nwhile True:\n    time.sleep(1)\n"
+
+
+def seen_at(seconds: float, found: list[tuple[list[str], list[str]]], programs: Path) -> Callable[[Simulator], None]:
+    """Note which processes run, and which programs have, in so many seconds."""
+
+    def look(simulator: Simulator) -> None:
+        found.append((sorted(simulator.processes), runs(programs)))
+
+    def prepare(simulator: Simulator) -> None:
+        simulator.time.loop.call_later(seconds, look, simulator)
+
+    return prepare
+
+
+def with_last(specification: Specification) -> Specification:
+    """The same with a program that runs last."""
+    component = changed(setup("last"), name="Last", run="python3 last.py last")
+    specification = changed(specification, components=specification.components.set("Last", component))
+    return specification.with_node(Node("last", "Last"))
+
+
+def test_one_that_hangs_delays_only_what_waits_for_it(tmp_path: Path, programs: Path) -> None:
+    found: list[tuple[list[str], list[str]]] = []
+    (programs / "setup.py").write_text(HANGS)
+
+    async def body(manager: Manager, simulator: Simulator, report: UpReport) -> None:
+        assert found == [(["listener", "setup"], [])]
+        assert list(report.missing) == ["setup"] and "setup has not ended within 60 s" in report.missing["setup"]
+        assert sorted(simulator.processes) == ["listener", "talker"] == report.instances
+        assert ONCE_TIMEOUT <= simulator.clock.steady() < ONCE_TIMEOUT + 5
+        assert (await manager.status()).violations == []
+
+    specification = changed(system(programs), constraints=(Order("setup", "talker"),))
+    up(specification, tmp_path, programs, body, prepare=seen_at(5.0, found, programs))
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_one_that_takes_long_is_run_once_and_the_last_one_after_what_waits_for_it(
+    fails: bool, tmp_path: Path, programs: Path
+) -> None:
+    found: list[tuple[list[str], list[str]]] = []
+    (programs / "setup.py").write_text(PROGRAM.replace("0.5", "20") + ("raise SystemExit('no arm')\n" if fails else ""))
+    (programs / "last.py").write_text(PROGRAM.replace("(__file__)", "(__file__).with_name('setup.py')"))
+
+    async def body(manager: Manager, simulator: Simulator, report: UpReport) -> None:
+        assert found == [(["listener", "setup"], ["first"])]
+        assert list(report.missing) == (["setup"] if fails else [])
+        assert runs(programs) == ["first", "last"]
+        done = ["last"] if fails else ["last", "setup"]
+        assert [name for name in ("last", "setup") if manager.system.life.is_done(name)] == done
+        assert sorted(simulator.processes) == ["listener", "talker"]
+        assert 20 < simulator.clock.steady() < 25
+        begun = [each.words.partition(" ")[2] for each in manager.log() if each.kind == "step"]
+        assert begun.index("create talker (Talker)") < begun.index("create last (Last)")
+
+    specification = changed(with_last(system(programs)), constraints=(Order("setup", "talker"),))
+    up(specification, tmp_path, programs, body, prepare=seen_at(5.0, found, programs))
+
+
+def test_the_last_one_runs_when_a_node_that_takes_long_is_up(tmp_path: Path, programs: Path) -> None:
+    found: list[tuple[list[str], list[str]]] = []
+    talker = programs / "talker.py"
+    talker.write_text("import time\ntime.sleep(20)\n" + talker.read_text())
+
+    async def body(manager: Manager, simulator: Simulator, report: UpReport) -> None:
+        assert found == [(["listener", "talker"], [])]
+        assert (report.outcome, report.missing, runs(programs)) == ("done", {}, ["first"])
+
+    up(system(programs), tmp_path, programs, body, prepare=seen_at(15.0, found, programs))
 
 
 @pytest.mark.parametrize("of", ["a change", "the first up"])

@@ -24,8 +24,14 @@ def test_a_step_is_taken_after_those_it_needs_and_no_other_waits(seed: int) -> N
             rounds[-1] += (step,)
         else:
             rounds.append((step,))
-    order = StepOrder([*rounds], lambda: dependencies)
+    last = frozenset(range(draw.randint(count // 2, count), count))
+    order = StepOrder([*rounds], lambda: dependencies, last)
     taken: list[int] = []
+
+    def deferred(steps: set[int]) -> set[int]:
+        """Those that wait for some of these."""
+        return {step for step in range(count) if obviously_needs(dependencies, step, steps)} - steps
+
     late: set[int] = set()
     left_out: set[int] = set()
     waited: set[int] = set()
@@ -38,6 +44,11 @@ def test_a_step_is_taken_after_those_it_needs_and_no_other_waits(seed: int) -> N
         for step in found:
             assert {*dependencies[step]} <= {*taken}
             assert not obviously_needs(dependencies, step, late | left_out)
+            assert step not in last or late | deferred(left_out) <= last, "it is taken after all others"
+        others = {*range(count)} - {*taken, *found}
+        after = {step for step in others if obviously_needs(dependencies, step, {*found} | left_out)}
+        alone = {*found} | deferred({*found} | left_out) <= last
+        assert order.leaves(found) == bool(others - after - (set() if alone else last))
         if len(found) == 1 and found[0] not in waited and draw.random() < 0.3:
             waited.add(found[0])
             late.add(found[0])
@@ -49,4 +60,6 @@ def test_a_step_is_taken_after_those_it_needs_and_no_other_waits(seed: int) -> N
             taken += found
     assert order.ended
     rest = {*range(count)} - {*taken}
-    assert rest == {step for step in range(count) if obviously_needs(dependencies, step, left_out)}
+    skipped = {step for step in range(count) if obviously_needs(dependencies, step, left_out)}
+    assert rest - skipped <= last
+    assert rest == skipped | (set() if deferred(left_out) <= last else last - {*taken})

@@ -93,12 +93,16 @@ class Executor:
         self._began = self.driver.backend.clock.steady()
         actions = self.change.actions
         overlap = overlap or one_by_one(actions)
-        self._order = order = StepOrder([*overlap.rounds], lambda: self.change.plan.dependencies)
+        self._order = order = StepOrder(
+            [*overlap.rounds], lambda: self.change.plan.dependencies, _programs_last(actions)
+        )
         while indices := order.next() or tuple(order.late[:1]):
             failures: dict[int, BaseException]
             try:
-                if self.change.partial and not self.interrupted and await self._is_late(indices[0], overlap):
-                    continue
+                if self.change.partial and not self.interrupted:
+                    indices = await self._in_time(indices, overlap)
+                    if not indices:
+                        continue
                 for index in indices:
                     self._described[index] = actions[index].describe(self.system.configuration)
                     self.driver.events.add(
@@ -138,27 +142,34 @@ class Executor:
         actions = (self.change.actions[index] for index in ahead if not self._order.is_blocked(index))
         self._starts.begin(action for action in actions if isinstance(action, Create))
 
-    async def _is_late(self, index: int, overlap: Overlap) -> bool:
-        """In a partial change, return whether a step is postponed: a process takes so long to start.
+    async def _in_time(self, indices: tuple[int, ...], overlap: Overlap) -> tuple[int, ...]:
+        """In a partial change, the steps of a round that are taken now: not those whose processes take so long.
 
-        Where nothing else is left to be done, it waits for the first of those that were postponed.
+        These are of programs that have not come up, or have not ended though they are to. They are postponed. Where
+        nothing else is left to be done, it waits for the first of them.
         """
-        launcher, action = self.driver.launcher, self.change.actions[index]
-        if not isinstance(action, Create) or action.instance.component.once or index in self._awaited:
-            return False
-        if index in self._order.late:
-            late = {each: next(iter(self.change.actions[each].instances())) for each in self._order.late}
+        launcher, order = self.driver.launcher, self._order
+        actions = [action for index in indices if isinstance(action := self.change.actions[index], Create)]
+        if not actions or self._awaited.issuperset(indices):
+            return indices
+        if indices[0] in order.late:
+            late = {each: next(iter(self.change.actions[each].instances())) for each in order.late}
             first = await launcher.first_decided(late.values())
-            index = next((each for each, name in late.items() if name == first), index)
-            self._order.resume(index)
+            index = next((each for each, name in late.items() if name == first), indices[0])
+            order.resume(index)
             self._awaited.add(index)
-            return True
-        await self._starts.start_before(action)
-        self._begin_ahead(index, overlap)
-        if await launcher.first_decided([action.instance.name], LATE) is not None:
-            return False
-        self._order.postpone(index)
-        return True
+            return ()
+        if actions[0].instance.component.once and not order.leaves(indices):
+            return indices
+        for action in actions:
+            await self._starts.start_before(action)
+        self._begin_ahead(indices[0], overlap)
+        undecided = {action.instance.name: index for action, index in zip(actions, indices, strict=True)}
+        while undecided and (decided := await launcher.first_decided(undecided, LATE)) is not None:
+            del undecided[decided]
+        for index in undecided.values():
+            order.postpone(index)
+        return tuple(index for index in indices if index not in undecided.values())
 
     def _interrupt(self) -> None:
         self.interrupted = True
@@ -470,6 +481,16 @@ class Executor:
                 else:
                     self.store.remove_instance(action.instance.name)
         return problems
+
+
+def _programs_last(actions: Sequence[Action]) -> frozenset[int]:
+    """The steps of programs that end (`once`) after which no other follows: they may need what all others offer."""
+    found: set[int] = set()
+    for index, action in reversed([*enumerate(actions)]):
+        if not (isinstance(action, Create) and action.instance.component.once):
+            break
+        found.add(index)
+    return frozenset(found)
 
 
 def _estimates(action: Action, configuration: Configuration, actions: Sequence[Action]) -> str | None:

@@ -12,10 +12,15 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class StepOrder:
-    """The rounds that are left. ``dependencies``: for each step, the earlier ones that it waits for, if asked."""
+    """The rounds that are left. ``dependencies``: for each step, the earlier ones that it waits for, if asked.
+
+    ``last``: the steps that are taken after all others, also after those that are late, and only where no other is
+    skipped.
+    """
 
     rounds: list[tuple[int, ...]]
     dependencies: Callable[[], Sequence[Collection[int]]]
+    last: frozenset[int] = frozenset()
     late: list[int] = field(default_factory=list)  # the steps that wait, in their order
     _left_out: set[int] = field(default_factory=set)
     _blocked: frozenset[int] = frozenset()
@@ -33,8 +38,13 @@ class StepOrder:
     @property
     def ended(self) -> bool:
         """Whether no step is left that can be taken, now or later."""
-        skipped = self._dependents(self._left_out) if self._left_out else frozenset()
+        skipped = self._waiting(self._left_out, ())
         return not self.late and all(index in skipped for indices in self.rounds for index in indices)
+
+    def leaves(self, indices: Collection[int]) -> bool:
+        """Whether steps are left that need not wait for these, now or later."""
+        waiting = self._waiting({*indices, *self._left_out}, indices)
+        return any(index not in waiting for some in self.rounds for index in some)
 
     def postpone(self, index: int) -> None:
         """Take a step later, and those that depend on it."""
@@ -57,8 +67,13 @@ class StepOrder:
         return index in self._blocked
 
     def _block(self) -> None:
-        found = {*self.late, *self._left_out}
-        self._blocked = self._dependents(found) if found else frozenset()
+        self._blocked = self._waiting({*self.late, *self._left_out}, self.late)
+
+    def _waiting(self, found: Collection[int], late: Collection[int]) -> frozenset[int]:
+        """The steps that are among ``found`` or depend on one of them; the last, where others do or are ``late``."""
+        waiting = self._dependents(found) if found else frozenset[int]()
+        others = {*waiting - {*found}, *late}
+        return waiting if self.last.issuperset(others) else waiting | self.last
 
     def _dependents(self, found: Collection[int]) -> frozenset[int]:
         blocked = set(found)

@@ -192,8 +192,9 @@ class Launcher:
         )
 
     def starting(self) -> int:
-        """How many processes have been started and have neither registered nor exited."""
-        return sum(not (registering.done() or self._exits[name].done()) for name, registering in self._starting.items())
+        """How many processes that are to register have been started, and have neither done so nor exited."""
+        registering = ((name, each) for name, each in self._starting.items() if name not in self._to_end)
+        return sum(not (each.done() or self._exits[name].done()) for name, each in registering)
 
     async def first_exit(self, names: Iterable[str]) -> tuple[str, StartFailed] | None:
         """The first of these processes that exits before it has registered, and how; None if all have registered."""
@@ -238,12 +239,10 @@ class Launcher:
         states; then it is terminated.
         """
         name, component = instance.name, instance.component
-        limit = ONCE_TIMEOUT + (component.startup_seconds or 0.0)
-        timeout = asyncio.ensure_future(self._backend.clock.sleep(limit))
-        first: set[asyncio.Future[Any]] = {self._exits[name], timeout}
         try:
-            await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+            await self._decided(name)
             if not self._exits[name].done():
+                limit = ONCE_TIMEOUT + (component.startup_seconds or 0.0)
                 raise StartFailed(
                     f"{name} has not ended within {limit:g} s (it was started with `{component.run}`); state how long "
                     "its program takes (`takes 60 s once`), or omit `once` if it keeps running"
@@ -255,7 +254,6 @@ class Launcher:
             await self.abandon(name)
             raise
         finally:
-            timeout.cancel()
             self._forget_start(name)
 
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
@@ -281,17 +279,29 @@ class Launcher:
     async def _decided(self, name: str) -> float | None:
         """Wait until a process that starts has registered or exited, was stopped, or has had its time.
 
-        Returns how long that was (s), None if it has not had it.
+        Returns how long that was (s), None if it has not had it. One that is to end does not register, and has its time
+        also while it is stopped.
         """
-        patience = self._patience(self._started_at[name], self._startups[name])
-        timeout, stopped = asyncio.ensure_future(patience), asyncio.ensure_future(self._stopped(name))
-        first: set[asyncio.Future[Any]] = {self._starting[name], self._exits[name], timeout, stopped}
+        begun, startup = self._started_at[name], self._startups[name]
+        waits: list[asyncio.Future[Any]] = []
+        if name in self._to_end:
+            timeout = asyncio.ensure_future(self._until(begun, ONCE_TIMEOUT + startup))
+        else:
+            timeout = asyncio.ensure_future(self._patience(begun, startup))
+            waits.append(asyncio.ensure_future(self._stopped(name)))
+        waits.append(timeout)
+        first: set[asyncio.Future[Any]] = {self._starting[name], self._exits[name], *waits}
         try:
             await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
             return timeout.result() if timeout.done() and not timeout.cancelled() else None
         finally:
-            timeout.cancel()
-            stopped.cancel()
+            for each in waits:
+                each.cancel()
+
+    async def _until(self, begun: float, seconds: float) -> float:
+        """Wait until so many seconds have passed since ``begun``, and return them."""
+        await self._backend.clock.sleep(max(0.0, begun + seconds - self._backend.clock.steady()))
+        return seconds
 
     async def first_decided(self, names: Iterable[str], quiet: float | None = None) -> str | None:
         """The first of these processes that has registered or exited, was stopped, or has had its time to register.
