@@ -44,6 +44,7 @@ class Assessment(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=F
     words: Annotated[str, Meta(description="the sentence, without a full stop")]
     seconds: Annotated[float | None, Meta(description="for how long it was lost; null: not lost, or not known")] = None
     lasting: bool = False
+    at_most: Annotated[bool, Meta(description="it was lost for no longer than `seconds`, and maybe for less")] = False
 
 
 class Assessments(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
@@ -55,9 +56,10 @@ class Assessments(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=
 
     @property
     def in_short(self) -> str:
-        """``kept``, ``not measurable``, ``lost 1.20 s``: for a table."""
-        longest = self.lost_seconds if self.verdict == "lost" else None
-        return f"{self.verdict.replace('_', ' ')}{'' if longest is None else f' {seconds_in_words(longest)}'}"
+        """``kept``, ``not measurable``, ``lost 1.20 s``, ``lost at most 1.20 s``: for a table."""
+        if self.verdict != "lost" or (longest := self.lost_seconds) is None:
+            return self.verdict.replace("_", " ")
+        return f"lost {_time(longest, at_most=all(each.at_most for each in self.found if each.seconds == longest))}"
 
     @property
     def lasting(self) -> bool:
@@ -79,7 +81,7 @@ class Assessments(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=
 
     @property
     def lost_seconds(self) -> float | None:
-        """The longest time for which something is known to have been lost (s); None where none is known."""
+        """The longest time for which something was lost (s), or may have been; None where none is known."""
         return max((each.seconds for each in self.found if each.seconds is not None), default=None)
 
 
@@ -106,16 +108,17 @@ def seconds_in_words(value: float) -> str:
 # -- the facts of a change, each as an assessment -----------------------------------------------------------------
 
 
-def below_level(functionality: str, seconds: float, *, unmeasured: bool = False) -> Assessment:
+def below_level(functionality: str, seconds: float, *, unmeasured: bool = False, at_most: bool = False) -> Assessment:
     """A functionality was below its level for so long, by the modes that components have acknowledged.
 
-    ``unmeasured``: nothing measures when the one node has ended its work, and the other has begun it.
+    ``unmeasured``: nothing measures when the one node has ended its work, and the other has begun it. ``at_most``: it
+    is that of a lifecycle node, which answers some time after it has become active.
     """
     if unmeasured:
         words = f"{functionality} was below its level, for how long is not known: nothing counts what its node writes"
         return Assessment(functionality, "lost", words)
-    words = f"{functionality} was below its level for {seconds_in_words(seconds)}"
-    return Assessment(functionality, "lost", words, seconds)
+    words = f"{functionality} was below its level for {_time(seconds, at_most=at_most)}"
+    return Assessment(functionality, "lost", words, seconds, at_most=at_most)
 
 
 def lower_afterwards(functionality: str, words: str, *, planned: bool) -> Assessment:
@@ -165,11 +168,16 @@ def received(
 
 
 def inactive(topic: str, port: str, seconds: float, rate: float | None) -> Assessment | None:
-    """No lifecycle node was active that writes an output, for so long (s); None if that is less than its period."""
+    """No lifecycle node was active that writes an output, for so long at most (s); None if its period is longer.
+
+    The time begins before the one node is asked to become inactive, and ends when the other has said that it is active.
+    When each has made its transition in between, nothing shows.
+    """
     if seconds <= (1 / rate if rate else 0.0):
         return None
-    words = f"{topic} was silent for {seconds_in_words(seconds)}: no node that writes {port} was active"
-    return Assessment(topic, "lost", words, round(seconds, 6))
+    time = _time(seconds, at_most=True)
+    words = f"{topic} was silent while no node that writes {port} was active, for {time}"
+    return Assessment(topic, "lost", words, round(seconds, 6), at_most=True)
 
 
 def written(topic: str, port: str, passed: int, window: float, rate: float) -> Assessment | None:
@@ -244,16 +252,26 @@ def goals_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> A
     return Assessment(instance, "not_measurable", words)
 
 
-def results_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> Assessment:
-    """The goals that a node has sent to ROS actions go on without it."""
-    words = "they go on when it ends, and it gets no result" if planned else "they went on, and it got no result"
-    words = f"goals that {instance} has sent to {listed(actions)}: {words}"
+def calls_end_with(instance: str, called: Sequence[str], *, planned: bool) -> Assessment:
+    """The requests that a node has sent to services, and its goals of ROS actions, go on without it."""
+    words = "they go on when it ends, and it gets no answer" if planned else "they went on, and it got no answer"
+    words = f"requests and goals of {instance} that are under way at {listed(called)}: {words}"
     return Assessment(instance, "not_measurable", words)
 
 
 def not_looked_at(instance: str, because: str) -> Assessment:
     """The services, ROS actions and other topics of a node without Midstride's API are not known."""
     words = f"what others rely on of {instance} besides its ports: {because}"
+    return Assessment(instance, "not_measurable", words)
+
+
+def management_unknown(instance: str, starting: Sequence[str], *, planned: bool) -> Assessment:
+    """It was not known yet of some instances whether they manage the lifecycle of one that is removed."""
+    have = "had" if not planned else "has" if len(starting) == 1 else "have"
+    words = (
+        f"whether a lifecycle manager deactivates its nodes as {instance} {'ends' if planned else 'ended'}: "
+        f"{listed(starting)} {have} just been started, and may be one"
+    )
     return Assessment(instance, "not_measurable", words)
 
 
@@ -283,6 +301,63 @@ def two_writers(role: str, topics: Sequence[str], seconds: float | None = None) 
     verb = "write" if seconds is None else "could write"
     words = f"which instance writes on {listed(topics)}: no port of {role} states it, so both {verb} there {time}"
     return Assessment(role, "not_measurable", words)
+
+
+# -- what a manager has ended that an earlier one had left half done ---------------------------------------------------
+
+
+def ended_half_done(
+    instance: str, because: str, goes_on: str | None, seconds: float, found: Sequence[Assessment]
+) -> str:
+    """An instance was ended without a change that has a report: what that has cost, and what is not known of it."""
+    rest = "nothing of its role goes on" if goes_on is None else f"{goes_on} goes on"
+    words = [f"stopped {instance}, {because}, within {seconds_in_words(seconds)}; {rest}"]
+    lost, unknown = _split(found)
+    if lost:
+        words.append(f"lost: {_sentences(lost)}")
+    if unknown:
+        words.append(f"not measurable here: {_sentences(unknown)}")
+    if not found:
+        words.append("it wrote on no topic of a port, and nothing is known to have been lost with it")
+    return "; ".join(words)
+
+
+def handed_back(instance: str, topics: Sequence[str], goes_on: str | None) -> Assessment:
+    """Topics on which an instance wrote until it was ended, and another one of its role did not."""
+    since = "nothing of its role has since" if goes_on is None else f"only {goes_on} may since"
+    words = (
+        f"for how long {listed(topics)} {_is(topics)} silent: {instance} wrote there until it was ended, and {since}"
+    )
+    return Assessment(instance, "not_measurable", words)
+
+
+def both_wrote(instance: str, other: str, topics: Sequence[str]) -> Assessment:
+    """Two instances of a role could write on the same topics while no manager ran."""
+    words = f"which instance wrote on {listed(topics)}: both {instance} and {other} could until the one was ended"
+    return Assessment(instance, "not_measurable", words)
+
+
+def values_lost(instance: str, values: Mapping[str, object]) -> Assessment:
+    """Parameter values that were set on an instance while it ran, and that the one which goes on does not have."""
+    found = ", ".join(f"{name} = {value!r}" for name, value in values.items())
+    return Assessment(instance, "lost", f"what was set on {instance} while it ran: {found}")
+
+
+def values_unknown(instance: str, words: str) -> Assessment:
+    """Nothing shows which values were set on an instance while it ran."""
+    return Assessment(instance, "not_measurable", words)
+
+
+def state_lost(instance: str, goes_on: str | None) -> Assessment:
+    """An instance that keeps a state has ended without passing it on."""
+    rest = "no other has it" if goes_on is None else f"{goes_on} has its own"
+    return Assessment(instance, "not_measurable", f"what has changed in the state of {instance}: {rest}")
+
+
+def managed_end(instance: str, reasons: Sequence[str]) -> Assessment:
+    """An instance was ended although a lifecycle manager may notice that."""
+    words = f"whether a lifecycle manager deactivates its nodes as {instance} ended: {'; '.join(reasons)}"
+    return Assessment(instance, "not_measurable", words)
 
 
 # -- what a plan expects -------------------------------------------------------------------------------------------
@@ -328,7 +403,7 @@ def assessed(found: Iterable[Assessment | None]) -> Assessments:
     if not lost:
         headline = f"Nothing is known to have fallen below its level. Not measurable here: {_sentences(unknown)}."
         return Assessments("not_measurable", headline, known)
-    times = [f"{each.subject}{_for(each.seconds)}" for each in lost]
+    times = [f"{each.subject}{_for(each)}" for each in lost]
     besides = f"; {len(unknown)} not measurable here" if unknown else ""
     return Assessments("lost", f"Lost: {_some(times)}{besides}.", known)
 
@@ -456,6 +531,10 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
+def _is(words: Sequence[str]) -> str:
+    return "was" if len(words) == 1 else "were"
+
+
 def _do(roles: Sequence[str]) -> str:
     return "does" if len(roles) == 1 else "do"
 
@@ -469,8 +548,12 @@ def _sentences(unknown: Sequence[Assessment]) -> str:
     return "; ".join(each.words for each in unknown)
 
 
-def _for(seconds: float | None) -> str:
-    return "" if seconds is None else f" for {seconds_in_words(seconds)}"
+def _for(lost: Assessment) -> str:
+    return "" if lost.seconds is None else f" for {_time(lost.seconds, at_most=lost.at_most)}"
+
+
+def _time(seconds: float, *, at_most: bool) -> str:
+    return f"{'at most ' if at_most else ''}{seconds_in_words(seconds)}"
 
 
 def _some(words: Sequence[str]) -> str:

@@ -40,6 +40,28 @@ def test_the_endpoints_of_every_node_of_a_name_are_found() -> None:
     run(scenario())
 
 
+def test_what_a_node_calls_is_named_without_its_own_services() -> None:
+    from rcl_interfaces.srv import GetParameters, SetParameters
+    from std_srvs.srv import Trigger
+
+    from midstride.backends.ros2.manager.graph import Graph
+
+    async def scenario() -> None:
+        with Bare("watching") as watching, Bare("caller") as caller:
+            caller.node.create_client(Trigger, "/map/save")
+            caller.node.create_client(Trigger, "/caller/reset")  # its own
+            caller.node.create_client(GetParameters, "/nav/planner/get_parameters")
+            caller.node.create_client(SetParameters, "/nav/planner/set_parameters")
+            for part in ("send_goal", "get_result", "cancel_goal"):
+                caller.node.create_client(Trigger, f"/dock/_action/{part}")
+            graph = Graph(watching.node)
+            expected = ("ROS action /dock", "service /map/save", "the parameters of /nav/planner")
+            await watching.until(lambda: graph.served_by("/caller").calls == expected)
+            assert graph.served_by("/no_such_node").calls == ()
+
+    run(scenario())
+
+
 class ListedGraph:
     """What rclpy's node tells of a graph that is drawn: processes with nodes, some of one name, with endpoints."""
 

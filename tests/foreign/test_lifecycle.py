@@ -13,7 +13,8 @@ from rich.console import Console
 from midstride.backends.simulator import virtual_loop as virtual
 from midstride.cli import render
 from midstride.errors import CommandRefused
-from midstride.foreign.lifecycle_transitions import NodeLifecycle
+from midstride.foreign.gated_agent import LOOK
+from midstride.foreign.lifecycle_transitions import INACTIVE, NodeLifecycle
 from midstride.foreign.record import ForeignRecord
 from midstride.model.rules import violations
 from midstride.plan.request import PlanRequest
@@ -127,6 +128,24 @@ def test_a_program_that_ends_on_sigterm_alone_is_given_the_time_for_it(tmp_path:
         assert simulator.time.steady() - begun > 5.0
 
     managed(tmp_path, body, {"Talker": {"ends_on": "SIGTERM"}})
+
+
+def test_the_time_without_an_active_node_begins_when_it_was_last_seen_active(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        def inactive() -> float:
+            state = manager.system.life.latest_states["talker"].state
+            return state.ports["out"]["/chat"].inactive or 0.0
+
+        await asyncio.sleep(5.3)
+        assert inactive() == 0.0
+        simulator.nodes["talker"].state = INACTIVE
+        begun = simulator.time.steady()
+        while inactive() == 0.0:
+            await asyncio.sleep(0.001)
+        silent = simulator.time.steady() - begun
+        assert silent <= inactive() < silent + LOOK + 0.1
+
+    managed(tmp_path, body)
 
 
 def test_a_node_that_loses_its_input_is_inactive(tmp_path: Path) -> None:

@@ -14,12 +14,16 @@ from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.errors import PlanRefused
 from midstride.foreign import lifecycle_managers
 from midstride.foreign.gated_agent import GRAPH_LOOK
-from midstride.foreign.graph_check import Served
+from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.lifecycle_managers import LifecycleManager, reason_to_stay
 from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE
+from midstride.model.contract import QoS
 from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
+from midstride.runtime.change.managed_nodes import PLAN_LOOK
 from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
 from tests.foreign import simulated
 from tests.foreign.chat import chat
 from tests.foreign.simulated import SimulatedNode, SimulatedRos, _Transport
@@ -41,6 +45,12 @@ BEHAVIOUR: dict[str, dict[str, Any]] = {
 RESTART = PlanRequest(restart=("planner",))
 
 
+def said(plan: Plan) -> str:
+    continuity = PlanPreview.of(plan).continuity
+    assert continuity
+    return continuity.headline
+
+
 class ManagedRos(SimulatedRos):
     """A simulator whose nodes are lifecycle nodes of ``managers``, as the graph shows them."""
 
@@ -60,6 +70,56 @@ class ManagedRos(SimulatedRos):
 
     def runs_manager(self, **parameters: Any) -> None:
         self.nodes["manager"] = SimulatedNode("manager", self.events, values=parameters)
+
+
+class StartingRos(ManagedRos):
+    """A simulator with a graph, in which ``seen`` is what it shows of the nodes; the rest of them cannot be asked."""
+
+    def __init__(self, folder: Path) -> None:
+        self.managers = ()
+        self.seen: dict[str, list[str]] = {"/planner": ["/plan"]}
+        super().__init__(folder)
+
+    def _agents(self) -> ForeignNodes:
+        return ForeignNodes(
+            self._folder, _Transport(self.control), self._services_of, graph=self._graph, served=self._served
+        )
+
+    def _graph(self, node: str) -> list[GraphEndpoint]:
+        topics = self.seen.get(node, self.seen["/planner"] if node.startswith("/planner") else [])
+        return [GraphEndpoint(True, topic, "std_msgs/msg/String", QoS()) for topic in topics]
+
+    def _served(self, node: str) -> Served:
+        return super()._served(node) if node.startswith("/planner") else Served()
+
+
+STARTING = (
+    PLANNER
+    + """component Manager { run "manager" gate none }
+node manager : Manager
+"""
+)
+
+
+def starting(folder: Path, body: Callable[[Manager, StartingRos], Awaitable[None]]) -> None:
+    """Have ``body`` begin as soon as the planner and its manager have been started."""
+    simulator = StartingRos(folder / "gates")
+
+    async def begun(manager: Manager, _: SimulatedRos) -> None:
+        simulator.nodes["planner"].state = ACTIVE
+        await body(manager, simulator)
+
+    simulated.managed(folder, STARTING, begun, simulator=simulator)
+
+
+def later(simulator: StartingRos, seconds: float, *, topics: list[str], calls: bool) -> None:
+    """Have the graph show this of the manager in so many seconds; ``calls``: that it changes the planner's state."""
+
+    def shown() -> None:
+        simulator.seen["/manager"] = topics
+        simulator.managers = (MANAGER,) if calls else ()
+
+    asyncio.get_running_loop().call_later(seconds, shown)
 
 
 def managed(
@@ -168,6 +228,95 @@ def test_a_manager_that_comes_while_a_change_is_under_way_keeps_the_old_node(
         assert simulator.active() == ["planner"]
 
     managed(tmp_path, body, **NAV2, bond_timeout=0.0)
+
+
+def test_a_plan_right_after_the_start_waits_until_the_manager_calls(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: StartingRos) -> None:
+        later(simulator, 1.0, topics=["/diagnostics"], calls=False)
+        later(simulator, 2.5, topics=["/diagnostics"], calls=True)
+        begun = asyncio.get_running_loop().time()
+        with pytest.raises(PlanRefused, match="lifecycle manager /manager may ask /planner/get_state"):
+            await manager.plan(PlanRequest(remove=("planner",)))
+        assert 2.5 <= asyncio.get_running_loop().time() - begun < 3.0
+        assert simulator.active() == ["planner"]
+
+    starting(tmp_path, body)
+
+
+def test_what_no_manager_calls_once_all_have_started_is_known_not_to_be_managed(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: StartingRos) -> None:
+        later(simulator, 0.0, topics=["/diagnostics"], calls=False)
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        plan = await manager.plan(RESTART)
+        assert loop.time() - begun < PLAN_LOOK and "lifecycle manager" not in said(plan)
+        begun = loop.time()
+        await manager.plan(RESTART)
+        assert loop.time() - begun < 0.1, "it is known now"
+        outcome = await manager.change(RESTART)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert outcome.continuity and "lifecycle manager" not in outcome.continuity.headline
+
+    starting(tmp_path, body)
+
+
+UNKNOWN = "whether a lifecycle manager deactivates its nodes as planner "
+
+
+def test_what_a_plan_could_not_learn_in_time_is_said_to_be_unknown(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: StartingRos) -> None:
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        later(simulator, PLAN_LOOK - 1.0, topics=["/diagnostics"], calls=False)
+        plan = await manager.plan(PlanRequest(remove=("planner",)))
+        assert PLAN_LOOK <= loop.time() - begun < PLAN_LOOK + 0.1
+        because = "manager has just been started, and may be one"
+        assert f"{UNKNOWN}ends: {because}" in said(plan)
+
+    starting(tmp_path, body)
+
+
+def test_what_was_not_known_when_the_node_ended_is_not_known_in_the_report(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: StartingRos) -> None:
+        later(simulator, PLAN_LOOK - 1.0, topics=["/diagnostics"], calls=False)
+        outcome = await manager.change(PlanRequest(remove=("planner",)))
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        because = "manager had just been started, and may be one"
+        assert outcome.continuity and f"{UNKNOWN}ended: {because}" in outcome.continuity.headline
+
+    starting(tmp_path, body)
+
+
+def test_a_manager_that_calls_after_the_plan_keeps_the_node(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: StartingRos) -> None:
+        later(simulator, PLAN_LOOK + 0.05, topics=["/diagnostics"], calls=True)
+        outcome = await manager.change(PlanRequest(remove=("planner",)))
+        assert outcome.outcome == "rolled_back" and "/manager may ask /planner/get_state" in str(outcome.because)
+        assert simulator.active() == ["planner"]
+
+    starting(tmp_path, body)
+
+
+def test_the_next_manager_of_midstride_waits_until_its_own_graph_shows_the_node(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: StartingRos) -> None:
+        later(simulator, 0.0, topics=["/diagnostics"], calls=False)
+        await asyncio.sleep(2 * GRAPH_LOOK)
+        shown, simulator.seen = simulator.seen, {"/planner": []}
+        simulator.managers = ()
+        await manager.close()
+        await simulator.manager_killed()
+        second = Manager(manager.specification, simulator, Workspace(tmp_path / "system"), tmp_path)
+        await second.up()
+
+        def discovered() -> None:
+            simulator.seen, simulator.managers = shown, (MANAGER,)
+
+        asyncio.get_running_loop().call_later(1.5, discovered)
+        with pytest.raises(PlanRefused, match="lifecycle manager /manager may ask /planner/get_state"):
+            await second.plan(PlanRequest(remove=("planner",)))
+        await second.close()
+
+    starting(tmp_path, body)
 
 
 def test_that_two_programs_manage_a_node_is_a_fault_of_the_status(tmp_path: Path) -> None:

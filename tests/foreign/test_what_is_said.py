@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.lifecycle_transitions import INACTIVE
 from midstride.foreign.replaced_node import lacks
 from midstride.model.contract import QoS
 from midstride.plan.forms.plan_forms import PlanPreview
@@ -18,7 +19,7 @@ from midstride.runtime.manager import Manager
 from midstride.verdicts import EXIT_STATUS, Assessments
 from tests.foreign import simulated
 from tests.foreign.chat import chat
-from tests.foreign.simulated import SimulatedRos
+from tests.foreign.simulated import SimulatedNode, SimulatedRos
 
 CHAT = chat("lifecycle", talker='parameters { word = "hello" }')
 REPLACE = PlanRequest(replace=(("talker", "Other"),))
@@ -79,6 +80,7 @@ def test_a_lifecycle_node_is_silent_for_as_long_as_the_report_says(
         assert (report.outcome, found.verdict) == (outcome, "lost")
         assert heard < (10.0 if outcome == "done" else 18.0)
         (silence,) = (each for each in found.found if each.subject == "/chat" and each.verdict == "lost")
+        assert silence.at_most and "for at most" in silence.words
         # While the old node is being deactivated, which takes 20 ms here, it may write or not.
         assert silence.seconds is not None and heard > 0.02 and heard <= silence.seconds < heard + 0.03
         history = await manager.history(1)
@@ -86,6 +88,34 @@ def test_a_lifecycle_node_is_silent_for_as_long_as_the_report_says(
         assert [event for event in manager.log() if event.kind == "outcome"][-1].words.endswith(silence.words)
 
     simulated.managed(tmp_path, CHAT, body, {"Other": behaviour})
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_lifecycle_node_that_is_degraded_is_silent_for_at_most_as_long_as_the_report_says(
+    tmp_path: Path, at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It falls silent when it is asked to become inactive, or only when it is."""
+    transition = SimulatedNode.transition
+
+    async def silent_at_once(self: SimulatedNode, name: str, state: str, timeout: float) -> bool:
+        if name == "deactivate":
+            self.state = INACTIVE
+        return await transition(self, name, state, timeout)
+
+    if at_once:
+        monkeypatch.setattr(SimulatedNode, "transition", silent_at_once)
+
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        recorder = OutsideRecorder(simulator)
+        report = await manager.change(PlanRequest(replace=(("talker", "Other"),), strategy="paper"))
+        heard = recorder.stop()
+        assert report.outcome == "done", report.because
+        (lost,) = (each for each in said(report.continuity).found if each.subject == "talker.talk")
+        assert lost.at_most and lost.seconds is not None and "for at most" in lost.words
+        assert heard <= lost.seconds < heard + (0.1 if at_once else 2.1)
+        assert (heard > 2.0) == at_once
+
+    simulated.managed(tmp_path, CHAT, body, {"Talker": {"slow": {"deactivate": 2.0}}})
 
 
 def test_a_lifecycle_node_that_hangs_makes_the_system_degraded_and_no_report_calls_it_kept(tmp_path: Path) -> None:

@@ -295,7 +295,7 @@ class ScriptedClient(ComponentClient):
         state: ComponentState = await self._reply("observe", instance, ObserveCommand())
         return state
 
-    async def peek(self, instance: str) -> ComponentState:
+    async def peek(self, instance: str, look: float = 0.0) -> ComponentState:
         state: ComponentState = await self._reply("peek", instance, ObserveCommand())
         return state
 

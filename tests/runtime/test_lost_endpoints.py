@@ -1,4 +1,4 @@
-"""What ends with a node besides its ports, as plan and report name it: services, goals, topics that both write."""
+"""What ends with a node besides its ports, as plan and report name it: services, calls, topics that both write."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.model.component import ComponentSpec
 from midstride.plan.request import PlanRequest
-from midstride.runtime.change.lost_endpoints import lost_endpoints
+from midstride.runtime.change.lost_endpoints import two_writers, what_ended
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.manager import Manager
+from midstride.runtime.process.launcher import LastKnown
 from midstride.verdicts import Assessments
 from midstride.wire.state import ComponentState, Endpoint, UndeclaredTopic
 from tests.runtime.systems import managed
@@ -19,7 +21,9 @@ from tests.runtime.systems import managed
 GOALS = [
     Endpoint(kind="ROS action", name="/dock", serves=True),
     Endpoint(kind="ROS action", name="/pick", serves=False),
+    Endpoint(kind="service", name="/map", serves=False),
     Endpoint(kind="service", name="/reset", serves=True),
+    Endpoint(kind="topic", name="/diagnostics"),
 ]
 
 
@@ -31,51 +35,68 @@ def test_plan_and_report_name_the_goals_of_a_component_with_the_api(
         plan = await manager.plan(PlanRequest(restart=("talker",)))
         assert [each.words for each in plan.besides] == [
             "goals of others that are under way at ROS action /dock: they end with talker",
-            "goals that talker has sent to ROS action /pick: they go on when it ends, and it gets no result",
+            "requests and goals of talker that are under way at ROS action /pick and service /map: they go on when it "
+            "ends, and it gets no answer",
         ]
         outcome = await manager.change(PlanRequest(restart=("talker",)))
         assert isinstance(outcome.continuity, Assessments) and outcome.continuity.verdict == "not_measurable"
         assert [each.words for each in outcome.continuity.found] == [
             "goals of others that are under way at ROS action /dock: they ended with talker",
-            "goals that talker has sent to ROS action /pick: they went on, and it got no result",
+            "requests and goals of talker that are under way at ROS action /pick and service /map: they went on, "
+            "and it got no answer",
         ]
 
     managed("talker", tmp_path, body)
 
 
-def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked(tmp_path: Path) -> None:
-    async def body(manager: Manager, _: Simulator) -> None:
-        plan = await manager.plan(PlanRequest(restart=("talker",)))
+def test_a_roll_back_names_what_has_ended_with_the_new_instance_and_not_what_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        monkeypatch.setattr(manager._client, "endpoints", lambda name: GOALS if name.startswith("talker") else [])
+        simulator.faults.fail_next("talker_2", "attach", "refused", times=99)
+        outcome = await manager.change(PlanRequest(restart=("talker",)))
+        assert outcome.outcome == "rolled_back" and isinstance(outcome.continuity, Assessments)
+        assert [each.words for each in outcome.continuity.found if each.subject.startswith("talker")] == [
+            "goals of others that are under way at ROS action /dock: they ended with talker_2",
+            "requests and goals of talker_2 that are under way at ROS action /pick and service /map: they went on, and "
+            "it got no answer",
+        ]
 
-        def said(**seen: Any) -> list[str]:
-            state = ComponentState(
-                instance="talker",
-                uuid="",
-                pid=1,
-                revision=1,
-                functionalities={},
-                ports={},
-                parameters={},
-                stopping=0.0,
-                node="/talker",
-                **seen,
-            )
-            return [each.words for each in lost_endpoints(plan, {"talker": LatestState(state, 0.0)}, {})]
+    managed("talker", tmp_path, body)
 
-        assert said() == []
-        assert said(looked=False) == ["what others rely on of talker besides its ports: it had just been started"]
-        found = said(
-            serves=["service /save"],
-            calls=["ROS action /pick"],
-            undeclared=[
-                UndeclaredTopic(output=output, topic=topic, type="x")
-                for output, topic in ((True, "/diag"), (True, "/talker/own"), (False, "/scan"))
-            ],
+
+def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() -> None:
+    def said(**seen: Any) -> list[str]:
+        state = ComponentState(
+            instance="talker",
+            uuid="",
+            pid=1,
+            revision=1,
+            functionalities={},
+            ports={},
+            parameters={},
+            stopping=0.0,
+            node="/talker",
+            **seen,
         )
-        assert [words.partition(":")[0] for words in found] == [
-            "requests and goals of others",
-            "which instance writes on /diag",
-            "goals that talker has sent to ROS action /pick",
-        ]
+        component = ComponentSpec.of("Talker", gate="preload")
+        latest = LatestState(state, 0.0)
+        found = [*what_ended("talker", component, LastKnown(latest), planned=True), *two_writers("talker", latest)]
+        return [each.words for each in found]
 
-    managed("talker", tmp_path, body)
+    assert said() == []
+    assert said(looked=False) == ["what others rely on of talker besides its ports: it had just been started"]
+    found = said(
+        serves=["service /save"],
+        calls=["ROS action /pick"],
+        undeclared=[
+            UndeclaredTopic(output=output, topic=topic, type="x")
+            for output, topic in ((True, "/diag"), (True, "/talker/own"), (False, "/scan"))
+        ],
+    )
+    assert [words.partition(":")[0] for words in found] == [
+        "requests and goals of others",
+        "requests and goals of talker that are under way at ROS action /pick",
+        "which instance writes on /diag",
+    ]

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace as changed
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from immutables import Map
+from msgspec import structs
 
 from midstride.errors import BackendError, ProtocolError, Unreachable
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Node, Specification
-from midstride.runtime.backend_protocol import Handle
+from midstride.runtime.backend_protocol import Handle, RemainingProcess
 from midstride.runtime.records.state_store import SavedInstance
 from midstride.runtime.restore.recovery import recover
 from midstride.wire.commands import AnswerCommand, GateCommand, ObserveCommand, RecordCommand, ResolveCutsCommand
+from midstride.wire.state import LinkState
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import REFUSED, TALKER, TIMEOUT, UNREACHABLE, Bench, bench, instance, reported, talking
@@ -147,8 +149,52 @@ def test_of_two_instances_of_a_role_the_one_behind_its_gate_is_ended(
         b.client.report(reported(b.configuration.instances[other], b.configuration, gates={"out /chatter": "closed"}))
         assert await recovered(b) == b.configuration.without_instance(other)
         assert [name for name, _ in b.backend.ended] == [other]
-        assert f"stopped {other}, which an earlier manager had left half done" in b.words("ended")
+        words = f"stopped {other}, which an earlier manager had left half done, within 0 ms; {published} goes on; "
+        assert b.words("half_done") == [
+            words + "it wrote on no topic of a port, and nothing is known to have been lost with it"
+        ]
         assert b.client.of(GateCommand) == []
+
+    bench(TWICE, tmp_path, body)
+
+
+def test_what_the_end_of_a_half_done_instance_has_cost_is_said(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        found = b.configuration.instances
+        b.client.report(reported(found["talker"], b.configuration, parameters={"gain": 1.0, "unit": "m"}))
+        parameters: dict[str, Any] = {"gain": 50.0, "unit": "m"}
+        state = reported(found["talker_2"], b.configuration, keeps_state=True, parameters=parameters)
+        b.client.report(structs.replace(state, declared={"gain": 1.0, "unit": "mm"}))
+        b.backend.killed["talker_2"] = [RemainingProcess(None, "python3", 3.0)]
+        b.launcher.on_killed = lambda name, seconds, words: b.events.add(
+            "killed", words, instance=name, seconds=seconds
+        )
+        assert await recovered(b) == b.configuration.without_instance("talker_2")
+        (words,) = b.words("half_done")
+        (killed,) = b.words("killed")
+        assert words.startswith(
+            "stopped talker_2, which an earlier manager had left half done, within 0 ms; talker goes on; "
+        )
+        assert "; lost: what was set on talker_2 while it ran: gain = 50.0; not measurable here: " in words
+        assert "which instance wrote on /chatter: both talker_2 and talker could until the one was ended; " in words
+        assert "what has changed in the state of talker_2: talker has its own; " in words
+        assert words.endswith(f"{killed}: what it does at its end is lost")
+
+    bench(TWICE, tmp_path, body)
+
+
+def test_where_only_the_one_that_is_ended_wrote_its_topic_may_have_been_silent(tmp_path: Path) -> None:
+    fenced = {"/chatter": LinkState(gate="open", count=0, fenced=True)}
+
+    async def body(b: Bench) -> None:
+        found = b.configuration.instances
+        b.client.report(reported(found["talker"], b.configuration, gates={"out /chatter": "closed"}))
+        b.client.report(structs.replace(reported(found["talker_2"], b.configuration), ports={"out": fenced}))
+        await recovered(b)
+        (words,) = b.words("half_done")
+        assert words.endswith(
+            "for how long /chatter was silent: talker_2 wrote there until it was ended, and only talker may since"
+        )
 
     bench(TWICE, tmp_path, body)
 
@@ -205,6 +251,10 @@ def test_a_half_done_instance_that_cannot_be_ended_is_left_out(tmp_path: Path) -
         b.backend.fail_end["talker_2"] = BackendError("the kernel keeps it")
         assert await recovered(b) == RUNNING
         assert "talker_2" in b.client.life.handles, "`down` tries again"
+        assert b.words("half_done") == [
+            "talker_2, which an earlier manager had left half done, could not be ended: the kernel keeps it; "
+            "`midstride down` tries again"
+        ]
 
     bench(RUNNING.with_instance(NEW), tmp_path, body)
 

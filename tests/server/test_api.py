@@ -428,7 +428,7 @@ def test_up_is_answered_when_it_is_known() -> None:
         done, _ = await asyncio.wait({asking}, timeout=0.05)
         assert not done
         manager.holds["up"].set()
-        up = {"outcome": "done", "instances": ["listener", "talker"], "degraded": [], "missing": {}}
+        up = {"outcome": "done", "instances": ["listener", "talker"], "degraded": [], "missing": {}, "half_done": []}
         assert (await asking).json() == up
         await bringing
 

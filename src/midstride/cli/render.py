@@ -54,6 +54,7 @@ _STYLES: Final = {
     "forbidden": "red",
     "override": "red",
     "finished_despite": "red",
+    "half_done": "yellow",
 }
 
 

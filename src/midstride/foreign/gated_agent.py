@@ -91,11 +91,15 @@ class ForeignAgent:
         self._before = before
         self._predecessor = predecessor
         self._managers = managers
+        self._adopted = record.welcomed  # an earlier agent has answered for it
+        self._shown: object = None  # what the graph showed of it last, until it shows nothing new any more
+        self._shown_since = 0.0
         self._declared = DeclaredEndpoints(self.node.component, record.topics, record.node)
         self._failed: str | None = None  # why it has not been configured, or is not what is declared
         self._replies: dict[str, asyncio.Task[Reply]] = {}
         self._lock = asyncio.Lock()
         self._registered = asyncio.Event()
+        self._registered_at = 0.0
         self._tasks: list[asyncio.Task[None]] = []
         self._reported: dict[str, GateState | None] = {}
         greeting = frames.Greeting(
@@ -116,6 +120,8 @@ class ForeignAgent:
         if self.node.gates is not None:
             for baton in {self.node.gates.baton(port) for port in self.node.component.outputs} - {0}:
                 self.node.gates.step(baton, BatonStep.WITHDRAW)
+        if self._managers is not None and self._graph is not None:
+            self._managers.starting[self.node.record.instance] = self.node.record.role
         await self._server.open(transport)
         loop = asyncio.get_running_loop()
         self._tasks = [
@@ -134,6 +140,8 @@ class ForeignAgent:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        if self._managers is not None:
+            self._managers.starting.pop(self.node.record.instance, None)
         await self._server.close(0.0)
         for services in (self._services, self._predecessor):
             if services is not None:
@@ -158,6 +166,7 @@ class ForeignAgent:
             missing = await self._compare(missing, asyncio.get_running_loop().time() - begun)
         if not self.node.component.ports() and self._failed is None:
             self._failed = await self._not_up()
+        self._registered_at = asyncio.get_running_loop().time()
         self._registered.set()
         self._report()
         declaration = NamedComponentForm.of(without_ports(self.node.component, missing))
@@ -241,18 +250,36 @@ class ForeignAgent:
     async def _watch_graph(self) -> None:
         """Look now and then whether the node still has what is declared: it may create endpoints at any time."""
         await self._registered.wait()
-        clock = asyncio.get_running_loop().time
-        begun = clock()
         while self._graph is not None or self._served is not None:
-            await self._look_at_graph(never=clock() - begun > GRAPH_TIMEOUT)
-            await asyncio.sleep(GRAPH_LOOK if self.node.looked else FIRST_LOOK)
+            await self._look_at_graph()
+            later = LOOK if self._may_show_more() else GRAPH_LOOK
+            await asyncio.sleep(later if self.node.looked else FIRST_LOOK)
 
-    async def _look_at_graph(self, *, never: bool = False) -> None:
-        """Note what it shows of the node; ``never``: what it has not shown yet, it never will, as without ROS."""
+    def _may_show_more(self) -> bool:
+        """Whether the node has been started so recently that it may still create endpoints, services and clients."""
+        return self._managers is not None and self.node.record.instance in self._managers.starting
+
+    async def _look(self, seconds: float) -> None:
+        """Look at the graph, and again until it is known whether the node is managed, no longer than ``seconds``.
+
+        One that has just been started, and is not shown yet, cannot be: only for one that ran before is that waited.
+        """
+        node, clock = self.node, asyncio.get_running_loop().time
+        deadline = clock() + seconds
+        await self._look_at_graph()
+        while not node.managed and (node.starting or (self._adopted and not node.looked)) and clock() < deadline:
+            await asyncio.sleep(min(FIRST_LOOK, max(0.0, deadline - clock())))
+            await self._look_at_graph()
+
+    async def _look_at_graph(self) -> None:
+        """Note what it shows of the node. What it has not shown for long enough, it never will, as without ROS."""
+        now = asyncio.get_running_loop().time()
+        never = now - self._registered_at > GRAPH_TIMEOUT
         served = Served() if self._served is None else self._served()
+        found = [] if self._graph is None else self._graph()
+        self._note_news((set(found), served), nothing=not found and served == Served(), never=never)
         await self._look_at_managers(served)
         left = await self._left_active(served)
-        found = [] if self._graph is None else self._graph()
         names = [*served.names]
         if served.managers:
             names.append(f"its lifecycle services, which {' and '.join(each.name for each in served.managers)} calls")
@@ -271,15 +298,30 @@ class ForeignAgent:
             node.differences, node.undeclared, node.serves, node.calls, node.looked = seen
             self._report()
 
+    def _note_news(self, shown: object, *, nothing: bool, never: bool) -> None:
+        """Note whether the node may still create anything, by what the graph has ``shown`` of it now."""
+        if (managers := self._managers) is None or not self._may_show_more():
+            return
+        now = asyncio.get_running_loop().time()
+        if shown != self._shown:
+            self._shown, self._shown_since = shown, now
+        if never if nothing else now - self._shown_since >= SETTLED:
+            managers.starting.pop(self.node.record.instance, None)
+
     async def _look_at_managers(self, served: Served) -> None:
         """Note why the node must not end: at first by what the graph shows, which a manager's parameters may refute."""
         if (managers := self._managers) is None:
             return
 
         def note() -> None:
-            found = managers.reasons_to_stay(self.node.record.node, served.managers)
-            if found != self.node.managed:
-                self.node.managed = found
+            node = self.node
+            starting = [name for name, role in sorted(managers.starting.items()) if role != node.record.role]
+            found = (
+                managers.reasons_to_stay(node.record.node, served.managers),
+                starting if served.has_lifecycle else [],
+            )
+            if found != (node.managed, node.starting):
+                node.managed, node.starting = found
                 self._report()
 
         note()
@@ -421,9 +463,10 @@ class ForeignAgent:
                     raise CommandRefused(self._failed)
                 self._changed(welcomed=True)
                 result: WireValue = self.node.state()
+            elif isinstance(command, commands.ObserveCommand) and command.timeout:
+                await self._look(command.timeout)
+                result = self.node.state()
             else:
-                if isinstance(command, commands.ObserveCommand) and self.node.managed:
-                    await self._look_at_graph()  # the manager may have ended
                 result = await self._commands.carry_out(command)
                 if command.kind == "changing":
                     self._changed()

@@ -40,7 +40,7 @@ class Served:
     """The services and ROS actions of a node, in words, without those of every node; whether it has a lifecycle.
 
     ``managers``: the other nodes that change its lifecycle state.
-    ``calls``: the ROS actions that it is a client of.
+    ``calls``: those of other nodes that it is a client of, in words.
     """
 
     names: tuple[str, ...] = ()

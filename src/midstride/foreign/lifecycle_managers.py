@@ -69,6 +69,7 @@ class LifecycleManagers:
         self._asked: dict[str, NodeServices | None] = {}
         self._known: dict[str, tuple[float, Mapping[str, Any]]] = {}
         self._lock = asyncio.Lock()
+        self.starting: dict[str, str] = {}  # the instances whose nodes may still create what they call, and their roles
 
     def reasons_to_stay(self, node: str, managers: Iterable[LifecycleManager]) -> list[str]:
         """Why ``node`` must not end, in words: one for each manager that would notice, as far as is known now."""

@@ -27,11 +27,12 @@ class LifecycleNode:
         self.lifecycle = NodeLifecycle(node.record.instance, services, startup, activate)
         self._inactive = 0.0  # how long its outputs have been silent, until it was last active (s)
         self._inactive_since: float | None = None  # on the loop's clock
+        self._active_at: float | None = None  # when it was asked last, and was active
         if node.gates is None:
             node.inactive = self.inactive
 
     def inactive(self) -> float:
-        """For how long in all (s) nothing has written its outputs since they were first handed to it."""
+        """For how long in all, at most (s), nothing has written its outputs since they were first handed to it."""
         now = asyncio.get_running_loop().time()
         return self._inactive + (0.0 if self._inactive_since is None else now - self._inactive_since)
 
@@ -101,14 +102,17 @@ class LifecycleNode:
 
     async def look(self) -> bool:
         """Ask for the state. If it has left the one that it should have, its modes are the last ones from now on."""
-        record = self.node.record
+        record, asked = self.node.record, asyncio.get_running_loop().time()
         try:
             state = await self.lifecycle.look()
         except NoAnswer:
             return False
+        if state == ACTIVE:
+            self._active_at = asked
         if not self.left() or record != self.node.record or not self.node.component.functionalities:
             return False
-        self._inactive_since = self._inactive_since or asyncio.get_running_loop().time()
+        if self._inactive_since is None:  # since when it has not been active is not known
+            self._inactive_since = asked if self._active_at is None else self._active_at
         last = {each.name: each.modes[-1].name for each in self.node.component}
         self.node.enter_modes(last, f"its lifecycle state is {state}")
         return True

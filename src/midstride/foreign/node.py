@@ -56,7 +56,8 @@ class ForeignNode:
         self.undeclared: list[UndeclaredTopic] = []  # its topics that are no ports
         self.serves: list[str] = []  # its services and ROS actions that others may rely on
         self.managed: list[str] = []  # why it must not end, as a lifecycle manager would take all of its nodes down
-        self.calls: list[str] = []  # the ROS actions that it is a client of
+        self.starting: list[str] = []  # the instances of which it is not known yet whether they manage it
+        self.calls: list[str] = []  # the services and ROS actions that it is a client of
         self.looked = True  # these are known, or nothing can know them
         # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
         self.inactive: Callable[[], float] | None = None
@@ -165,6 +166,7 @@ class ForeignNode:
             undeclared=self.undeclared,
             serves=self.serves,
             managed=self.managed,
+            starting=self.starting,
             calls=self.calls,
             looked=self.looked,
             unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,

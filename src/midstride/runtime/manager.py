@@ -51,6 +51,7 @@ from midstride.runtime.records.reports import (
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.records.status_forms import ChangeLock, ParametersReport, ProgramStatus, Status, Why
 from midstride.runtime.restore.bring_up import BringUp
+from midstride.runtime.restore.half_done import HALF_DONE
 from midstride.runtime.restore.respawner import Respawner
 from midstride.runtime.restore.restoring import Restorer
 from midstride.runtime.running_system import RunningSystem
@@ -192,7 +193,8 @@ class Manager:
             without = f" without {', '.join(missing)}" if missing else ""
             self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
-            return UpReport(outcome, sorted(self.configuration.instances), remaining, missing)
+            half_done = [event.words for event in self.events.since() if event.kind == HALF_DONE]
+            return UpReport(outcome, sorted(self.configuration.instances), remaining, missing, half_done)
 
     def _still_missing(self, absent: Collection[str]) -> dict[str, str]:
         """Why each role has no instance, but those ``absent``: one may have exited since it was started."""

@@ -72,7 +72,11 @@ class PingCommand(Command[Done], frozen=True, kw_only=True, tag="ping"):
 
 
 class ObserveCommand(Command[ComponentState], frozen=True, kw_only=True, tag="observe"):
-    """The component's state."""
+    """The component's state.
+
+    ``timeout``: how long the agent of a node without Midstride's API may look for what is not known of it yet; 0: it
+    answers at once.
+    """
 
     kind = "reading"
 

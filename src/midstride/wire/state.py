@@ -106,8 +106,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 
     ``fields``: samples of the fields that the contract in force constrains.
     ``fenced``: its gate was closed although user code did not return, and nothing but lifting that opens it.
-    ``inactive``: for how long in all (s) an output of a lifecycle node that nothing else gates has been silent because
-    no node that writes it was active, since it was first handed to this one; None for any other.
+    ``inactive``: for how long in all, at most (s), an output of a lifecycle node that nothing else gates was silent
+    since it was first handed to this one, because no node that writes it was active; None for any other.
     """
 
     gate: GateState | None
@@ -123,9 +123,10 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
     ``differences``: in which way its node is not what is declared, ``undeclared``: its topics that are no ports. Only a
     node without Midstride's API can show these. The same holds for ``serves``, the services and ROS actions that end
-    with it, for ``calls``, the ROS actions to which it may have sent goals, and for ``unanswered``: for how long it has
-    not answered its agent, which answers here (s). ``managed``: why it must not end, as a lifecycle manager would take
-    all of its nodes down. ``looked``: the graph has been asked for these since it started.
+    with it, for ``calls``, those to which it may have sent requests and goals, and for ``unanswered``: for how long it
+    has not answered its agent, which answers here (s). ``managed``: why it must not end, as a lifecycle manager would
+    take all of its nodes down; ``starting``: the instances that have just been started, and may be such managers.
+    ``looked``: the graph has been asked for these since it started.
 
     ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
     services; of several instances of a role, one does.
@@ -159,6 +160,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     undeclared: list[UndeclaredTopic] = []
     serves: list[str] = []
     managed: list[str] = []
+    starting: list[str] = []
     calls: list[str] = []
     looked: bool = True
     unanswered: float | None = None

@@ -230,7 +230,8 @@ class ActionDriver:
             case Remove(instance) if not self.system.life.has_exited(instance):
                 self._require_successor(instance)
                 if not self.rolling_back:
-                    require_unmanaged_at_its_end(self.system.life, instance)
+                    component = self.configuration.component(instance)
+                    await require_unmanaged_at_its_end(self.client, instance, component)
                 await self._change_answering(instance, runs=True)
                 await self._remove(action, budget)
                 await self._change_answering(instance, runs=False)  # if it did not respond

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
+from immutables import Map
+
 from midstride import verdicts
 from midstride.model import wording
-from midstride.model.action import Action, Create, Remove
+from midstride.model.action import Action, Create, Degrade, Detach, Remove
 from midstride.model.configuration import Configuration
 from midstride.plan.expected_losses import planned_instances, unmeasured_pair
 from midstride.plan.plan import Plan
-from midstride.runtime.change.lost_endpoints import lost_endpoints
+from midstride.runtime.change.lost_endpoints import endpoints_that_ended
 from midstride.runtime.instance_life import LatestState
+from midstride.runtime.process.launcher import LastKnown
 from midstride.runtime.records.reports import Outcome, StepTime
 from midstride.runtime.records.status_forms import SilenceFault
-from midstride.wire.state import Endpoint
 
 
 def change_assessment(
@@ -24,22 +26,22 @@ def change_assessment(
     silences: Sequence[SilenceFault],
     at_outputs: Sequence[verdicts.Assessment],
     states: Mapping[str, LatestState],
-    endpoints: Mapping[str, Sequence[Endpoint]],
+    last_known: Mapping[str, LastKnown] = Map(),
     ended: Sequence[verdicts.Assessment] = (),
 ) -> verdicts.Assessments:
     """Return what may be said of ``outcome``, after which ``now`` runs.
 
     ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show;
-    ``states``: what each component reported before the change; ``endpoints``: what it had besides its ports. ``ended``:
-    what has become of the nodes that have ended with an instance.
+    ``states``: what each component reported before the change; ``last_known``: what was known of those that it has
+    ended. ``ended``: what has become of the nodes that have ended with an instance.
     """
     lowered = bool(outcome.below_baseline_seconds)
     return verdicts.assessed(
         [
-            *reported(outcome, silences, _unmeasured_roles(plan)),
-            *(each for each in at_outputs if each.verdict != "lost" or not lowered),
+            *reported(outcome, silences, _unmeasured_roles(plan), _deactivations(plan, outcome)),
+            *(each for each in at_outputs if each.verdict != "lost" or each.at_most or not lowered),
             *_exchanged(plan, outcome),
-            *lost_endpoints(plan, states, endpoints, _together(plan, outcome)),
+            *endpoints_that_ended(plan, last_known, states, _together(plan, outcome)),
             *ended,
             *_others(plan, now),
             *_started(plan, now),
@@ -48,16 +50,21 @@ def change_assessment(
 
 
 def reported(
-    outcome: Outcome, silences: Sequence[SilenceFault], unmeasured: Collection[str] = ()
+    outcome: Outcome,
+    silences: Sequence[SilenceFault],
+    unmeasured: Collection[str] = (),
+    deactivations: Mapping[str, float] = Map(),
 ) -> list[verdicts.Assessment | None]:
     """Return what the figures of ``outcome`` say; ``silences``: all that is silent now, also what was before.
 
-    ``unmeasured``: the roles of which nothing measures when a new node has begun its work.
+    ``unmeasured``: the roles of which nothing measures when a new node has begun its work. ``deactivations``: those of
+    lifecycle nodes, each with how long it took at most until it was acknowledged (s).
     """
-    found: list[verdicts.Assessment | None] = [
-        verdicts.below_level(name, spent, unmeasured=name.partition(".")[0] in unmeasured)
-        for name, spent in sorted(outcome.below_baseline_seconds.items())
-    ]
+    found: list[verdicts.Assessment | None] = []
+    for name, spent in sorted(outcome.below_baseline_seconds.items()):
+        role = name.partition(".")[0]
+        spent, at_most = round(spent + deactivations.get(role, 0.0), 6), role in deactivations
+        found.append(verdicts.below_level(name, spent, unmeasured=role in unmeasured, at_most=at_most))
     for each in outcome.remaining_degradations:
         because = f": {each.because.splitlines()[0]}" if each.because else ""
         words = f"{wording.lowered(each.functionality, each.after, each.before)}{because}"
@@ -122,12 +129,29 @@ def _together(plan: Plan, outcome: Outcome) -> dict[str, float]:
                 created[instance.role] = time.began
             case Remove(name) if (role := plan.change.role_of(name)) in created:
                 found[role] = time.began + time.seconds - created[role]
+    if outcome.outcome != "done":  # until the new one was ended
+        found |= {role: outcome.seconds - began for role, began in created.items() if role not in found}
     return found
 
 
 def _unmeasured_roles(plan: Plan) -> set[str]:
     instances = planned_instances(plan).values()
     return {each.role for each in instances if verdicts.why_unmeasured(each.component) is not None}
+
+
+def _deactivations(plan: Plan, outcome: Outcome) -> dict[str, float]:
+    """The roles of lifecycle nodes, each with how long the step took at most that deactivated its node (s).
+
+    A node may fall silent as soon as it is asked to become inactive, and acknowledges that once it is.
+    """
+    instances = planned_instances(plan)
+    found = {each.role: 0.0 for each in instances.values() if each.component.has_lifecycle}
+    for action, time in _timed_actions(plan, outcome):
+        if time is None or not isinstance(action, Degrade | Detach):
+            continue
+        for role in {instances[name].role for name in action.instances()} & found.keys():
+            found[role] = max(found[role], time.seconds)
+    return found
 
 
 def _started(plan: Plan, now: Configuration) -> Iterator[verdicts.Assessment]:

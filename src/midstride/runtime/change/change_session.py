@@ -346,9 +346,9 @@ class ChangeSession:
         tallies = OutputTallies(self.client, self.clock)
         tallies.begin(system.configuration, change.actions)
         change.observers.append(tallies)
-        # As they were known before their nodes end.
-        states, endpoints = system.life.latest_states, self._endpoints()
+        states = system.life.latest_states
         self.launcher.ended_with.clear()
+        self.launcher.last_known.clear()
         driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
         execution = await self._execute(driver)
         fenced = system.life.fenced
@@ -393,7 +393,14 @@ class ChangeSession:
         )
         ended = tuple(nodes_that_ended(change, self.launcher.ended_with, system.configuration, self.others.look()))
         continuity = change_assessment(
-            outcome, plan, system.configuration, list(silences.values()), at_outputs, states, endpoints, ended
+            outcome,
+            plan,
+            system.configuration,
+            list(silences.values()),
+            at_outputs,
+            states,
+            dict(self.launcher.last_known),
+            ended,
         )
         said = f"{change.outcome}: {change.because}" if change.because else change.outcome
         self.events.add("outcome", "; ".join([said, *continuity.weakest]), outcome=change.outcome)

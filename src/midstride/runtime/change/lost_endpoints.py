@@ -1,4 +1,4 @@
-"""What ends, or is written twice, with a node that a plan removes: its services, its goals, its topics without a port.
+"""What ends, or is written twice, with an instance that is ended: its services, its calls, its topics without a port.
 
 Of a node without the API, the graph shows these; a component with the API has named them when it registered.
 """
@@ -7,53 +7,94 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
+from msgspec import structs
+
 from midstride import verdicts
 from midstride.model.action import Create, Remove
+from midstride.model.component import ComponentSpec
+from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
+from midstride.runtime.process.launcher import LastKnown
 from midstride.wire.state import Endpoint
 
 
 def lost_endpoints(
-    plan: Plan,
-    states: Mapping[str, LatestState],
-    endpoints: Mapping[str, Sequence[Endpoint]],
-    together: Mapping[str, float] | None = None,
+    plan: Plan, states: Mapping[str, LatestState], endpoints: Mapping[str, Sequence[Endpoint]]
 ) -> Iterator[verdicts.Assessment]:
-    """``states``: the last reports of the nodes that ``plan`` removes; ``endpoints``: what they have besides ports.
+    """What ``plan`` is expected to end.
 
-    ``together``: for how long both instances of a role ran (s), by role, once the plan was carried out.
+    ``states``: the last reports of the nodes that it removes; ``endpoints``: what they have besides ports.
     """
     created: set[str] = set()
-    planned = together is None
     for step in plan.steps:
         match step.action:
             case Create(instance):
                 created.add(instance.role)
             case Remove(name):
-                own = endpoints.get(name, ())
-                if plan.change.instance(name).component.gate == "relay":  # which answers for its program, and not of it
-                    yield verdicts.not_looked_at(name, "it is behind a relay")
-                if goals := [f"ROS action {each.name}" for each in own if each.kind == "ROS action" and each.serves]:
-                    yield verdicts.goals_end_with(name, goals, planned=planned)
-                called = [f"ROS action {each.name}" for each in own if each.kind == "ROS action" and not each.serves]
-                latest, role = states.get(name), plan.change.role_of(name)
-                if latest is not None:
-                    called += latest.state.calls
-                    yield from _of_foreign(latest, role if role in created else None, together)
-                if called:
-                    yield verdicts.results_end_with(name, called, planned=planned)
+                found, role = plan.change.instance(name), plan.change.role_of(name)
+                known = LastKnown(states.get(name), endpoints.get(name, ()))
+                yield from what_ended(name, found.component, known, planned=True)
+                if known.latest is not None and role in created:
+                    yield from two_writers(role, known.latest)
 
 
-def _of_foreign(
-    latest: LatestState, role: str | None, together: Mapping[str, float] | None
+def endpoints_that_ended(
+    plan: Plan,
+    ended_instances: Mapping[str, LastKnown],
+    states: Mapping[str, LatestState],
+    together: Mapping[str, float],
 ) -> Iterator[verdicts.Assessment]:
-    """``role``: that of a node which is replaced; None if it only ends."""
+    """What has ended with ``ended_instances`` while ``plan`` was carried out, also with those that it had created.
+
+    ``states``: what was known when it began; ``together``: for how long both instances of a role ran (s), by role.
+    """
+    created = {step.action.instance.role for step in plan.steps if isinstance(step.action, Create)}
+    for name, instance in planned_instances(plan).items():
+        if (known := ended_instances.get(name)) is None:
+            continue
+        yield from what_ended(name, instance.component, _as_planned(known, states.get(name)), planned=False)
+        if known.latest is not None and instance.role in created and instance.role in together:
+            yield from two_writers(instance.role, known.latest, together[instance.role])
+
+
+def _as_planned(known: LastKnown, before: LatestState | None) -> LastKnown:
+    """``known`` without what the plan itself has started: it was known before whether another one manages the node."""
+    if known.latest is None or before is None:
+        return known
+    state = known.latest.state
+    starting = [name for name in state.starting if name in before.state.starting]
+    return LastKnown(LatestState(structs.replace(state, starting=starting), known.latest.at), known.endpoints)
+
+
+def what_ended(
+    name: str, component: ComponentSpec, known: LastKnown, *, planned: bool, new: str = "it had just been started"
+) -> Iterator[verdicts.Assessment]:
+    """What ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
+
+    ``new``: why the graph has shown nothing of it yet.
+    """
+    own, state = known.endpoints, None if known.latest is None else known.latest.state
+    if component.gate == "relay":  # which answers for its program, and not of it
+        yield verdicts.not_looked_at(name, "it is behind a relay")
+    elif component.gate is not None and not component.once and (state is None or not state.looked):
+        yield verdicts.not_looked_at(name, new)
+    if goals := [f"ROS action {each.name}" for each in own if each.kind == "ROS action" and each.serves]:
+        yield verdicts.goals_end_with(name, goals, planned=planned)
+    called = [f"{each.kind} {each.name}" for each in own if each.kind != "topic" and not each.serves]
+    if state is not None:
+        if state.starting:
+            yield verdicts.management_unknown(name, state.starting, planned=planned)
+        if state.serves:
+            yield verdicts.ends_with(name, state.serves, planned=planned)
+        called += state.calls
+    if called:
+        yield verdicts.calls_end_with(name, called, planned=planned)
+
+
+def two_writers(role: str, latest: LatestState, together: float | None = None) -> Iterator[verdicts.Assessment]:
+    """The topics without a port on which two instances of ``role`` write, or could, while both run."""
     state = latest.state
-    if not state.looked:
-        yield verdicts.not_looked_at(state.instance, "it had just been started")
-    if state.serves:
-        yield verdicts.ends_with(state.instance, state.serves, planned=together is None)
     written = [each.topic for each in state.undeclared if each.output]
-    if role is not None and (shared := [topic for topic in written if not topic.startswith(f"{state.node}/")]):
-        yield verdicts.two_writers(role, shared, None if together is None else together.get(role))
+    if shared := [topic for topic in written if not topic.startswith(f"{state.node}/")]:
+        yield verdicts.two_writers(role, shared, together)

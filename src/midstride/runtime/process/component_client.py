@@ -224,9 +224,12 @@ class ComponentClient:
         self._revisions[instance] = state.revision
         return state
 
-    async def peek(self, instance: str) -> ComponentState:
-        """The component's state, for display: the expected revision does not change."""
-        return await self.read(instance, ObserveCommand(timeout=0.0))
+    async def peek(self, instance: str, look: float = 0.0) -> ComponentState:
+        """The component's state: the expected revision does not change.
+
+        ``look``: for how long the agent of a node without Midstride's API may look for what is not known yet (s).
+        """
+        return await self.read(instance, ObserveCommand(timeout=look))
 
     def accept(self, instance: str) -> None:
         """The last reported state has been taken into the model. Later changes expect its revision."""

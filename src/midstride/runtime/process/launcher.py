@@ -7,7 +7,8 @@ import contextlib
 import math
 import os
 import shlex
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,7 +32,7 @@ from midstride.model.component import (
 )
 from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import Backend, Exited, Handle, OtherNodes, RemainingProcess
-from midstride.runtime.instance_life import STOPPED, ProcessEvent
+from midstride.runtime.instance_life import STOPPED, LatestState, ProcessEvent
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.process.launches import launch_of
@@ -39,7 +40,7 @@ from midstride.runtime.process.registration import mismatches, unexpected_endpoi
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
 from midstride.wire.frames import Greeting, Registration
-from midstride.wire.state import ComponentState
+from midstride.wire.state import ComponentState, Endpoint
 
 # How long a process may take to register (s), including imports of large libraries, if no other registers meanwhile.
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
@@ -67,6 +68,17 @@ def stop_times(component: ComponentSpec, asked: float = 0.0) -> StopTimes:
         return StopTimes(0.0, max(STOP_GRACE, asked))
     stop = component.stop or DEFAULT_STOP
     return StopTimes(0.0, stop.longest + max(STOP_GRACE, asked)) if component.gate == "relay" else stop
+
+
+@dataclass(frozen=True, slots=True)
+class LastKnown:
+    """What was known of an instance when it was ended: its last report, and what it had besides its ports.
+
+    ``endpoints``: as it has named them when it registered; a node without Midstride's API has not.
+    """
+
+    latest: LatestState | None
+    endpoints: Sequence[Endpoint] = ()
 
 
 class Launcher:
@@ -99,6 +111,8 @@ class Launcher:
         self.on_ending: Callable[[str, OtherNodes], object] | None = None
         # By instance that was ended since this was cleared last: which nodes ended with it.
         self.ended_with: dict[str, OtherNodes] = {}
+        # By instance that was ended or released since this was cleared last: what was known of it then.
+        self.last_known: dict[str, LastKnown] = {}
 
     def exited(self, event: Exited) -> bool:
         """A process has exited: if its registration is awaited, the start fails.
@@ -423,6 +437,7 @@ class Launcher:
     async def _end(self, name: str, stop: StopTimes) -> None:
         self._client.forget_revision(name)
         self._note_others(name)
+        self._note_last(name)
         handle = self._life[name].handle
         self._life.record(name, ProcessEvent.END_BEGUN)
         try:
@@ -451,12 +466,17 @@ class Launcher:
             if others.nodes and self.on_ending is not None:
                 self.on_ending(name, others)
 
+    def _note_last(self, name: str) -> None:
+        if not self._life.has_exited(name):  # then it has ended without this
+            self.last_known[name] = LastKnown(self._life.latest(name), self._client.endpoints(name))
+
     async def release(self, name: str) -> None:
         """Release a component that was started by hand: degraded and unattached, it waits for the next manager.
 
         Does nothing if it has exited. Raises MidstrideError if it does not answer, or a call of user code does not
         return in time.
         """
+        self._note_last(name)
         with contextlib.suppress(Unreachable):
             await self._client.change(name, ReleaseCommand(timeout=RELEASE_TIMEOUT))
         self.leave(name)

@@ -45,6 +45,9 @@ class UpReport(Report, frozen=True):
     instances: list[str]
     degraded: Annotated[list[DegradedFunctionality], Meta(description="what is not in its normal mode")] = []
     missing: Annotated[dict[str, str], Meta(description="why nodes could not be started")] = {}
+    half_done: Annotated[
+        list[str], Meta(description="what an earlier manager had left half done and was ended, and what that has cost")
+    ] = []
 
 
 class KilledProcess(Report, frozen=True, kw_only=True):

@@ -1,3 +1,3 @@
 """The way back to what the specification asks for: after a crash, a degradation, or the end of a manager."""
 
-PUBLIC = "BringUp Respawner Restorer"
+PUBLIC = "BringUp HALF_DONE Respawner Restorer"

@@ -23,6 +23,7 @@ from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.state_store import SavedInstance
+from midstride.runtime.restore.half_done import HALF_DONE, HalfDone
 from midstride.runtime.watch.observed_configuration import reported_modes
 from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand, ResolveCutsCommand
 from midstride.wire.state import NOT_WELCOMED, ComponentState
@@ -44,12 +45,14 @@ async def recover(
     found: dict[str, tuple[Instance, ComponentState]] = {}
     done: dict[str, Instance] = {}
     hanging: list[str] = []
+    half_done = HalfDone(launcher, client, events)
     for entry in saved:
         instance, handle = entry.instance, entry.handle
         if instance.component.once:
             if not entry.done:
                 if handle is not None and await launcher.end_if_running(handle):
-                    events.add("ended", f"stopped {instance.name}, whose program had not ended")
+                    words = f"stopped {instance.name}, whose program had not ended: what it had done is not known"
+                    events.add(HALF_DONE, words)
             elif (same := done.get(instance.role)) is None or _is_asked_for(instance, same, specification):
                 done[instance.role] = instance
             continue
@@ -69,9 +72,7 @@ async def recover(
             await launcher.abandon(instance.name)
             continue
         if state.waiting == NOT_WELCOMED and handle is not None:  # what it is has not been checked
-            events.add("ended", f"stopped {instance.name}, which an earlier manager had just started")
-            with suppress(MidstrideError):
-                await launcher.end(instance.name)
+            await half_done.end(instance, state, "which an earlier manager had just started")
             continue
         found[instance.name] = (instance, state)
         events.add("adopted", f"{instance.name} was reattached unchanged")
@@ -80,18 +81,19 @@ async def recover(
     for each in done.values():
         client.life.record(each.name, ProcessEvent.COMPLETED)
     for name in await launcher.end_orphans(found):
-        events.add("ended", f"stopped {name}, which an earlier manager had just started")
+        words = f"stopped {name}, which an earlier manager had just started: what others relied on of it is not known"
+        events.add(HALF_DONE, words)
     found = await _resolved(found, launcher, client, events)
     redundant = _redundant(found)
     for name in redundant:
-        events.add("ended", f"stopped {name}, which an earlier manager had left half done")
-        instance, _ = found.pop(name)
-        with suppress(MidstrideError):
-            for other, (successor, _) in found.items():
-                if successor.role == instance.role and other not in redundant:
+        instance, state = found.pop(name)
+        stays = None
+        for other, (successor, theirs) in found.items():
+            if successor.role == instance.role and other not in redundant:
+                stays = theirs
+                with suppress(MidstrideError):
                     await have_answer(client, other, instead_of=name)
-        with suppress(MidstrideError):
-            await launcher.end(name)
+        await half_done.end(instance, state, "which an earlier manager had left half done", stays)
     for name in found:
         await have_answer(client, name)
     for name, (instance, observed) in found.items():

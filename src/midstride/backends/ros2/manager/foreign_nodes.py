@@ -265,6 +265,7 @@ class ForeignNodes:
         if not record.declaration.declared().unnamed or (record.node and record.welcomed):
             await self._answer(record)
             return
+        self._managers.starting[record.instance] = record.role
         task = asyncio.get_running_loop().create_task(self._find(record))
         self._finding[record.instance] = task
         task.add_done_callback(lambda _: self._finding.pop(record.instance, None))
@@ -361,6 +362,7 @@ class ForeignNodes:
         parameter_file(self._folder, instance).unlink(missing_ok=True)
         if (task := self._finding.pop(instance, None)) is not None:
             task.cancel()
+        self._managers.starting.pop(instance, None)
         self._peers.nodes.pop(instance, None)
         self._unfound.discard(instance)
         if self._relayed.pop(instance, None) is not None:

@@ -28,10 +28,11 @@ from midstride.model.graph_names import is_infrastructure
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Endpoints
 
-# The packages of the services that ROS itself gives nodes: parameters, lifecycle, types, log levels.
 # Between the name of a ROS action and those of its services.
 _ACTION: Final = "/_action/"
-_OF_EVERY_NODE: Final = ("rcl_interfaces/", "lifecycle_msgs/", "type_description_interfaces/", "logging_interfaces/")
+# The packages of the services that ROS itself gives nodes: parameters, lifecycle, types, log levels.
+_OF_PARAMETERS: Final = "rcl_interfaces/"
+_OF_EVERY_NODE: Final = (_OF_PARAMETERS, "lifecycle_msgs/", "type_description_interfaces/", "logging_interfaces/")
 
 _GET_STATE: Final = "lifecycle_msgs/srv/GetState"
 
@@ -158,9 +159,20 @@ class Graph:
             elif not any(type_.startswith(_OF_EVERY_NODE) for type_ in types):
                 served.add(f"service {name}")
         managers = tuple(self._managers(node)) if has_lifecycle else ()
-        called = (name.partition(_ACTION) for name in self._called_by(node))
-        goals = {f"ROS action {action}" for action, part, _ in called if part}
-        return Served(tuple(sorted(served)), has_lifecycle, managers, tuple(sorted(goals)))
+        return Served(tuple(sorted(served)), has_lifecycle, managers, tuple(sorted(self._calls(node))))
+
+    def _calls(self, node: str) -> set[str]:
+        """The services and ROS actions of other nodes that a node may call, in words."""
+        found = set()
+        for name, types in self._clients(node):
+            action, _, part = name.partition(_ACTION)
+            owner = name.rpartition("/")[0]
+            if part:
+                found.add(f"ROS action {action}")
+            elif owner != node:
+                of_parameters = any(type_.startswith(_OF_PARAMETERS) for type_ in types)  # a client of them has six
+                found.add(f"the parameters of {owner}" if of_parameters else f"service {name}")
+        return found
 
     def _managers(self, node: str) -> Iterator[LifecycleManager]:
         """The nodes that change its lifecycle state, but for hidden ones: those of ROS's tools and of Midstride."""
@@ -175,10 +187,14 @@ class Graph:
 
     def _called_by(self, node: str) -> set[str]:
         """The services that a node calls."""
+        return {name for name, _ in self._clients(node)}
+
+    def _clients(self, node: str) -> list[tuple[str, list[str]]]:
+        """The services that a node calls, each with its types."""
         try:
-            return {name for name, _ in self._node.get_client_names_and_types_by_node(*split_name(node))}
+            return list(self._node.get_client_names_and_types_by_node(*split_name(node)))
         except NodeNameNonExistentError:
-            return set()
+            return []
 
     def _under(self, full_name: str) -> Iterator[Any]:
         """The endpoints that are shown under that name."""

@@ -1,0 +1,111 @@
+"""Ends what an earlier manager had left half done, and says what its end has cost: in the log, the history and `up`.
+
+No change is under way, so no report has it. Nothing was measured while no manager ran: what that leaves unknown is said
+(docs/protocols/recovery.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from midstride import verdicts
+from midstride.codec.parameter import from_json
+from midstride.errors import MidstrideError
+from midstride.model.component import same_value
+from midstride.model.configuration import Instance
+from midstride.runtime.change.lost_endpoints import what_ended
+from midstride.runtime.change.managed_nodes import PLAN_LOOK, look_at_managers
+from midstride.runtime.change.parameter_transfer import unread_parameters
+from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.launcher import LastKnown, Launcher
+from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.reports import killed_processes
+from midstride.wire.state import ComponentState
+
+# The kind of the event, which is an incident of the history.
+HALF_DONE: Final = "half_done"
+
+
+@dataclass(frozen=True, slots=True)
+class HalfDone:
+    """What ends instances of the system of ``client``."""
+
+    launcher: Launcher
+    client: ComponentClient
+    events: EventLog
+
+    async def end(
+        self, instance: Instance, state: ComponentState, because: str, stays: ComponentState | None = None
+    ) -> None:
+        """End ``instance``, which was last in ``state``; ``stays``: the state of the one of its role that goes on.
+
+        ``because``: what it is. If it cannot be ended, that is said, and `down` tries again.
+        """
+        name, clock, before = instance.name, self.client.clock, self.events.last
+        await look_at_managers(
+            self.client, name, instance.component, PLAN_LOOK
+        )  # its agent is new, and has not seen it yet
+        begun = clock.steady()
+        try:
+            await self.launcher.end(name)
+        except MidstrideError as error:
+            words = f"{name}, {because}, could not be ended: {error}; `midstride down` tries again"
+            self.events.add(HALF_DONE, words)
+            return
+        known = self.launcher.last_known.get(name, LastKnown(None))
+        if known.latest is not None:
+            state = known.latest.state
+        found = [
+            *_outputs(state, stays),
+            *_values(instance, state, stays),
+            *what_ended(name, instance.component, known, planned=False, new="this manager had just been started"),
+            *(verdicts.managed_end(name, reasons) for reasons in [state.managed] if reasons),
+            *self._others(name),
+            *(verdicts.killed(each.instance, each.words) for each in killed_processes(self.events.since(before))),
+        ]
+        seconds = clock.steady() - begun
+        goes_on = None if stays is None else stays.instance
+        self.events.add(HALF_DONE, verdicts.ended_half_done(name, because, goes_on, seconds, found))
+
+    def _others(self, name: str) -> Iterator[verdicts.Assessment]:
+        """The nodes that have ended with the process of an instance."""
+        others = self.launcher.ended_with.get(name)
+        if others is None:
+            return
+        for node in others.nodes:
+            yield verdicts.ended_with(node.name, node.words, name, again=None, planned=False)
+        if others.unknown is not None:
+            yield verdicts.unknown_others(name, others.unknown)
+
+
+def _open(state: ComponentState | None) -> set[str]:
+    """The topics on which an instance may write."""
+    ports = {} if state is None else state.ports
+    return {topic for topics in ports.values() for topic, link in topics.items() if link.gate == "open"}
+
+
+def _outputs(state: ComponentState, stays: ComponentState | None) -> Iterator[verdicts.Assessment]:
+    """What is not known of the topics on which the instance wrote until it was ended."""
+    wrote, still = _open(state), _open(stays)
+    if alone := sorted(wrote - still):
+        yield verdicts.handed_back(state.instance, alone, None if stays is None else stays.instance)
+    if stays is not None and (both := sorted(wrote & still)):
+        yield verdicts.both_wrote(state.instance, stays.instance, both)
+
+
+def _values(instance: Instance, state: ComponentState, stays: ComponentState | None) -> Iterator[verdicts.Assessment]:
+    """What was set on the instance, and what it has kept, that the one which goes on does not have."""
+    has = {} if stays is None else {name: from_json(value) for name, value in stays.parameters.items()}
+    lost = {
+        name: value
+        for name, value in sorted(state.set_values().items())
+        if name not in has or not same_value(has[name], value)
+    }
+    if lost:
+        yield verdicts.values_lost(instance.name, lost)
+    if (words := unread_parameters(instance, state)) is not None:
+        yield verdicts.values_unknown(instance.name, words)
+    if state.keeps_state:
+        yield verdicts.state_lost(instance.name, None if stays is None else stays.instance)
