@@ -272,8 +272,6 @@ class Robot:
                 self.false.append(f"{cell}: silent for {heard:.2f} s, and said {max(times):.2f} s: {words}")
             if max(times) > heard + tolerance + ANSWER or max(exact, default=0.0) > heard + tolerance:
                 self.false.append(f"{cell}: {max(times):.2f} s are said to be lost, and heard {heard:.2f} s: {words}")
-            if role == "life" and exact:
-                self.false.append(f"{cell}: nothing shows when a lifecycle node has made a transition: {words}")
             if outcome.outcome == "done" and plan.verdict == "kept":
                 self.false.append(f"{cell}: lost as planned, and the plan said {plan.headline}")
 
