@@ -105,7 +105,7 @@ def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
 ) -> None:
     """Its manager stays: tests/runtime/test_up_again.py."""
     missing = {"talker": "create talker (Talker): talker exited with status 1 before it registered:\nno device"}
-    report = {"outcome": "incomplete", "instances": ["listener"], "degraded": [], "missing": missing}
+    report = {"outcome": "incomplete", "instances": ["listener"], "degraded": [], "missing": missing, "half_done": []}
     file = EXAMPLES / "talker" / "talker.stride"
     plant(monkeypatch, up, "bring_up", lambda *_, **__: msgspec.convert(report, UpReport))
     condition = system_condition(2, 1, ["talker could not be started"])

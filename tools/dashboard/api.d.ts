@@ -26,6 +26,8 @@ declare namespace Api {
     /** for how long it was lost; null: not lost, or not known */
     seconds: number | null;
     lasting: boolean;
+    /** it was lost for no longer than `seconds`, and maybe for less */
+    at_most: boolean;
   }
 
   /** All that is known about the work of a system during a change. `verdict`: the weakest of them. */
@@ -1471,6 +1473,8 @@ declare namespace Api {
     degraded: DegradedFunctionality[];
     /** why nodes could not be started */
     missing: Record<string, string>;
+    /** what an earlier manager had left half done and was ended, and what that has cost */
+    half_done: string[];
   }
 
   /** Functionalities enter better modes. */
