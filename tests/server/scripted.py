@@ -87,7 +87,7 @@ class ScriptedManager:
     async def up(self) -> Any:
         return await self._answer("up")
 
-    async def down(self) -> Any:
+    async def down(self, id: str | None = None) -> Any:
         return await self._answer("down")
 
     async def close(self) -> None:

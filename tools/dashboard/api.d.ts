@@ -809,10 +809,11 @@ declare namespace Api {
     changeable?: boolean;
   }
 
-  /** Values to set at run time, all of them or none: of the parameters of a node, by name. `by`: who asks, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although what its changes require does not hold. */
+  /** Values to set at run time, all of them or none: of the parameters of a node, by name. `id`: as of a change. `by`: who asks, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although what its changes require does not hold. */
   interface ParameterSetting {
     node: string;
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
+    id?: string | null;
     by?: string | null;
     despite_lock?: boolean;
     despite_requirements?: boolean;

@@ -116,16 +116,21 @@ class Client:
         values: Mapping[str, Any],
         *,
         by: str,
+        id: str | None = None,
         despite_lock: bool = False,
         despite_requirements: bool = False,
+        begin: Callable[[], object] = lambda: None,
     ) -> ParametersReport:
-        """Set parameters of a role or an instance, once the commands before are done; all of them or none."""
+        """Set parameters of a role or an instance, once the commands before are done; all of them or none.
+
+        ``id`` and ``begin`` as for a change.
+        """
         from midstride.codec.parameter import json_values
         from midstride.runtime.records.status_forms import ParametersReport
 
-        setting: Document = {"node": node, "parameters": json_values(values), "by": by}
+        setting: Document = {"node": node, "parameters": json_values(values), "by": by, "id": id}
         setting |= {"despite_lock": despite_lock, "despite_requirements": despite_requirements}
-        return self._form(ParametersReport, "POST", "/parameters", setting, timeout=None)
+        return self._form(ParametersReport, "POST", "/parameters", setting, timeout=None, begin=begin)
 
     def specification(self) -> Specification:
         """The specification that the system runs."""
@@ -178,24 +183,32 @@ class Client:
 
         return self._form(Outcome, "POST", "/change", change, timeout=None, begin=begin)
 
-    def down(self) -> DownReport:
-        """End every component, and then the manager."""
+    def down(self, id: str | None = None, begin: Callable[[], object] = lambda: None) -> DownReport:
+        """End every component, and then the manager. ``id`` and ``begin`` as for a change."""
         from midstride.runtime.records.reports import DownReport
 
-        return self._form(DownReport, "POST", "/down", None, None)
+        return self._form(DownReport, "POST", _with_query("/down", {"id": id}), None, None, begin)
 
-    def lock(self, reason: str, by: str, until: float | None, *, holds_recovery: bool) -> ChangeLock:
-        """Lock the system until it is unlocked, or until then (unix s)."""
+    def lock(
+        self,
+        reason: str,
+        by: str,
+        until: float | None,
+        *,
+        holds_recovery: bool,
+        begin: Callable[[], object] = lambda: None,
+    ) -> ChangeLock:
+        """Lock the system until it is unlocked, or until then (unix s). ``begin`` as for a change."""
         from midstride.runtime.records.status_forms import ChangeLock
 
         lock = {"reason": reason, "by": by, "until": until, "holds_recovery": holds_recovery}
-        return self._form(ChangeLock, "POST", "/lock", lock)
+        return self._form(ChangeLock, "POST", "/lock", lock, begin=begin)
 
-    def unlock(self, by: str) -> ChangeLock:
-        """End the lock of the system."""
+    def unlock(self, by: str, begin: Callable[[], object] = lambda: None) -> ChangeLock:
+        """End the lock of the system. ``begin`` as for a change."""
         from midstride.runtime.records.status_forms import ChangeLock
 
-        return self._form(ChangeLock, "POST", "/unlock", {"by": by})
+        return self._form(ChangeLock, "POST", "/unlock", {"by": by}, begin=begin)
 
     def log(self) -> list[Event]:
         """The events so far that the manager has kept."""

@@ -1,13 +1,18 @@
-"""A request to the manager, with the events that belong to it as they come, and whether it can still be withdrawn."""
+"""A request to the manager, with its events as they come, and what becomes of it where its command is interrupted."""
 
 from __future__ import annotations
 
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Generic, TypeVar
+from enum import Enum, auto
+from typing import TYPE_CHECKING, Final, Generic, TypeVar
+
+import click
 
 from midstride.cli.client import Client
 from midstride.errors import MidstrideError
@@ -22,6 +27,18 @@ LAST_EVENTS = 0.5
 # How long a manager may take to begin with a request that has been sent, or to say that it waits (s).
 BEGIN_TIMEOUT = 2.0
 POLL = 0.02
+# Events with which the manager ends a command that is no `up` and no `down`.
+_ENDING: Final = frozenset({"outcome", "parameters"})
+
+
+class Fate(Enum):
+    """What has become of a request when its command is interrupted."""
+
+    WITHDRAWN = auto()  # it was not sent
+    NOT_KNOWN = auto()  # it was sent at least in part, and the manager says nothing of it
+    WAITING = auto()  # for the command before it
+    BEGUN = auto()
+    ENDED = auto()
 
 
 class WithdrawnError(MidstrideError):
@@ -31,8 +48,8 @@ class WithdrawnError(MidstrideError):
 class Sending:
     """Whether the request ``id`` has begun to be sent, or was withdrawn before: one of the two, in whichever thread."""
 
-    def __init__(self, id: str) -> None:
-        self.id = id
+    def __init__(self, id: str | None = None) -> None:
+        self.id = uuid.uuid4().hex if id is None else id
         self._lock = threading.Lock()
         self._begun = self._withdrawn = False
 
@@ -49,19 +66,50 @@ class Sending:
             self._withdrawn = not self._begun
             return self._withdrawn
 
-    def interrupted(self, client: Client) -> str:
-        """Keep the request from being sent, and say what becomes of it, as far as that is known."""
+    def fate(self, client: Client) -> tuple[Fate, str]:
+        """Keep the request from being sent, and find out what becomes of it; for WAITING, also for what it waits."""
         if self.withdraw():
-            return "Nothing was changed: the manager had not been asked yet."
+            return Fate.WITHDRAWN, ""
         end = time.monotonic() + BEGIN_TIMEOUT
         try:
-            while not any(event.id == self.id for event in client.log()):
-                if time.monotonic() > end:
-                    raise MidstrideError("it has not begun")
+            while (found := self._in(client.log())) is None and time.monotonic() <= end:
                 time.sleep(POLL)
         except MidstrideError:
-            return "Whether the manager carries out the change is not known: `midstride log` shows it."
-        return "The manager continues with the change; `midstride log` shows how it ends."
+            found = None
+        return found or (Fate.NOT_KNOWN, "")
+
+    def _in(self, events: Sequence[Event]) -> tuple[Fate, str] | None:
+        """What the events say of the request; None where it is in none of them."""
+        found: tuple[Fate, str] | None = None
+        for event in events:
+            if event.kind == "command" and found is not None and found[0] is Fate.BEGUN:
+                return Fate.ENDED, ""  # the manager runs one at a time
+            if event.kind in {"waiting", "command"} and event.id == self.id:
+                found = (Fate.WAITING, event.words) if event.kind == "waiting" else (Fate.BEGUN, "")
+            elif event.kind in _ENDING and found is not None and found[0] is Fate.BEGUN:
+                return Fate.ENDED, ""
+        return found
+
+    def interrupted(self, client: Client) -> str:
+        """Keep the change from being requested, and say what becomes of it, as far as that is known."""
+        fate, waits = self.fate(client)
+        return {
+            Fate.WITHDRAWN: "Nothing was changed: the manager had not been asked yet.",
+            Fate.NOT_KNOWN: "Whether the manager carries out the change is not known: `midstride log` shows it.",
+            Fate.WAITING: f"The manager carries out the change later: {waits}. `midstride log` shows how it ends.",
+            Fate.BEGUN: "The manager continues with the change; `midstride log` shows how it ends.",
+            Fate.ENDED: "The change had ended; `midstride log` shows how.",
+        }[fate]
+
+
+@contextmanager
+def explained_when_interrupted(explain: Callable[[], str]) -> Iterator[None]:
+    """Where the block is interrupted, or the reader of its output has gone, print what ``explain`` says of its work."""
+    try:
+        yield
+    except (KeyboardInterrupt, click.Abort, BrokenPipeError, SystemExit):  # rich exits where the reader has gone
+        click.echo(f"\n{explain()}", err=True)
+        raise
 
 
 @dataclass

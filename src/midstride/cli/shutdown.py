@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import click
 
 from midstride import backends
+from midstride.cli.client import Client
+from midstride.cli.follow import Fate, Sending, explained_when_interrupted
 from midstride.cli.running_systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
 from midstride.model.component import DEFAULT_STOP
@@ -35,15 +37,38 @@ def shut_down(system: str | None) -> tuple[str, DownReport]:
         left = [workspace for workspace in Workspace.all() if system in (None, workspace.name)]
         if len(left) != 1:
             raise
-        with left[0].lock():
-            return left[0].name, DownReport(killed=_stop_left_components(left[0]))
-    status = client.status()
-    _say_lock(status.lock)
-    if (running := status.running) is not None:
-        click.echo(f"{workspace.name} is carrying out `{running.command}` and will stop afterwards …", err=True)
-    report = client.down()
-    wait_for_manager_exit(workspace)
-    return workspace.name, report
+        name = left[0].name
+        goes_on = f"Parts of {name} may still run: `midstride down --system {name}` stops what is left."
+        with left[0].lock(), explained_when_interrupted(lambda: goes_on):
+            return name, DownReport(killed=_stop_left_components(left[0]))
+    return workspace.name, stop(client, workspace)
+
+
+def stop(client: Client, workspace: Workspace) -> DownReport:
+    """Have the manager stop its system, and wait until it has ended; where that is interrupted, say what goes on."""
+    sending = Sending()
+    with explained_when_interrupted(lambda: _interrupted(sending, client, workspace)):
+        status = client.status()
+        _say_lock(status.lock)
+        if (running := status.running) is not None:
+            click.echo(f"{workspace.name} is carrying out `{running.command}` and will stop afterwards …", err=True)
+        report = client.down(sending.id, sending.begin)
+        wait_for_manager_exit(workspace)
+    return report
+
+
+def _interrupted(sending: Sending, client: Client, workspace: Workspace) -> str:
+    """Keep the manager from being asked, and say what becomes of its system, as far as that is known."""
+    name, (fate, waits) = workspace.name, sending.fate(client)
+    if fate is not Fate.WITHDRAWN and workspace.manager() is None:
+        return f"The manager of {name} has ended: `midstride down --system {name}` stops what is left, if anything is."
+    return {
+        Fate.WITHDRAWN: "Nothing was stopped: the manager had not been asked yet.",
+        Fate.NOT_KNOWN: f"Whether the manager stops {name} is not known: `midstride status` shows what runs.",
+        Fate.WAITING: f"The manager stops {name} later: {waits}. `midstride status` shows what runs.",
+        Fate.BEGUN: f"The manager goes on stopping {name}: `midstride status` shows what still runs.",
+        Fate.ENDED: f"{name} could not be stopped whole: `midstride log` says what is left.",
+    }[fate]
 
 
 def _say_lock(lock: ChangeLock | None) -> None:

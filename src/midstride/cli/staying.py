@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import click
@@ -37,10 +37,15 @@ def _interrupt(*_: object) -> None:
     signal.raise_signal(signal.SIGINT)
 
 
-def stay(client: Client, system: str) -> int:
-    """Wait until this process is interrupted, its parent ends, or the manager does; stop the system, if it runs."""
-    parent, answered = os.getppid(), time.monotonic()
+def stay(client: Client, system: str, begin: Callable[[], object]) -> int:
+    """Wait until this process is interrupted, its parent ends, or the manager does; stop the system, if it runs.
+
+    ``begin`` is called first; the system is stopped as well where that is interrupted.
+    """
+    parent = os.getppid()
     try:
+        begin()
+        answered = time.monotonic()
         while os.getppid() == parent:
             time.sleep(POLL)
             if client.answers():

@@ -219,15 +219,16 @@ class Manager:
         self._journal.close()
         await self._backend.close()
 
-    async def down(self) -> DownReport:
+    async def down(self, id: str | None = None) -> DownReport:
         """Terminate every component and delete the saved state. Raises ManagerError naming those that still run.
 
-        A lock does not prevent it, since a robot can be stopped at any time; the lock ends with the system.
+        A lock does not prevent it, since a robot can be stopped at any time; the lock ends with the system. ``id`` as
+        for :meth:`change`.
         """
         before = self.events.last
         self._restorer.stop()
         self._respawner.stop()  # also a restart in progress: it is rolled back
-        async with self._reconciler.command("down"):
+        async with self._reconciler.command("down", id):
             self._spares = 0
             instances = self.configuration.instances.items()
             running = {name for name, each in instances if not each.component.once}
@@ -350,15 +351,16 @@ class Manager:
         values: Mapping[str, ParameterValue],
         override: Override = NO_OVERRIDE,
         by: str | None = None,
+        id: str | None = None,
     ) -> ParametersReport:
         """Set parameters of a role or an instance, all of them or none, once the commands before are done.
 
         They count as set at run time: a replacement keeps them. Raises PlanRefused for an unknown node, ManagerError
         for one that does not run, CommandRefused with the component's reason, ChangeForbidden while the system is
-        locked, without ``override``. ``by`` says in the history who asked.
+        locked, without ``override``. ``by`` says in the history who asked; ``id`` as for :meth:`change`.
         """
         words = ", ".join(f"{name} = {value!r}" for name, value in values.items())
-        async with self._reconciler.command(f"param set {node} {words}"):
+        async with self._reconciler.command(f"param set {node} {words}", id):
             what = f"param set {node} {words}"
             if (because := self._session.forbidden(f"{by}: {what}" if by else f"`{what}`", override)) is not None:
                 self.events.add("parameters", f"refused: {because}", outcome="refused")

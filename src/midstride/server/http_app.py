@@ -55,6 +55,7 @@ from midstride.server.view.routes import viewing
 # No table of the journal has more rows.
 _LARGEST: Final = 2**31 - 1
 _Number = Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")]
+_Id = Annotated[str | None, Query(max_length=100, description="as of a change")]
 
 
 def create_app(live: LiveView) -> FastAPI:
@@ -252,7 +253,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         """Set parameters of a running node, once the commands before are done; a replacement keeps the values."""
         setting, values = await read_setting(http)
         lifecycle.require_up()
-        work = manager.set_parameters(setting.node, values, setting.override, setting.by)
+        work = manager.set_parameters(setting.node, values, setting.override, setting.by, setting.id)
         return answer(await lifecycle.carry_out(work))
 
     @router.post("/lock", responses=answers(ChangeLock, body=True), openapi_extra=request_body(LockRequest))
@@ -270,8 +271,8 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         return answer(manager.unlock(asked.by))
 
     @router.post("/down", responses=answers(DownReport))
-    async def down() -> Response:
+    async def down(id: _Id = None) -> Response:
         """Stop every component, and then the manager."""
-        return answer(await lifecycle.carry_out(lifecycle.take_down(), breakable=False))
+        return answer(await lifecycle.carry_out(lifecycle.take_down(id), breakable=False))
 
     return router

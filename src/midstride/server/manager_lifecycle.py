@@ -114,9 +114,9 @@ class Lifecycle:
         if self.phase == "down":
             raise ManagerError("the system is down")
 
-    async def take_down(self) -> DownReport:
+    async def take_down(self, id: str | None = None) -> DownReport:
         """Stop the system and then the manager. Raises ManagerError if a component would not exit."""
-        report = await self.manager.down()
+        report = await self.manager.down(id)
         self.phase = "down"
         self.on_phase()
         self.ended.set()

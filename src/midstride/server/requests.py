@@ -75,14 +75,15 @@ class SubmittedChange(Overriding, frozen=True):
 class ParameterSetting(Overriding, frozen=True):
     """Values to set at run time, all of them or none: of the parameters of a node, by name.
 
-    `by`: who asks, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although
-    what its changes require does not hold.
+    `id`: as of a change. `by`: who asks, for the history. `despite_lock`: also while the system is locked;
+    `despite_requirements`: although what its changes require does not hold.
     """
 
     what: ClassVar[str] = "a setting of parameters"
 
     node: NonEmptyName
     parameters: Annotated[dict[str, ValueForm], field("an object of values", min_length=1)]
+    id: Annotated[str, field("an id", max_length=100)] | None = None
     by: Annotated[str, field("who asks", max_length=200)] | None = None
 
 

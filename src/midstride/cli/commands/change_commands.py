@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -248,14 +248,18 @@ def change(
     if not (options.yes or dry_run or is_interactive()):
         raise click.UsageError("not a terminal; pass --yes")
     client, _ = find(options.system)
-    request = asked(client) if callable(asked) else asked
-    request = {**request, "strategy": options.strategy, "detours": options.detours}
-    request["with_other_nodes"] = options.with_other_nodes
-    try:
-        return _change(options, client, request, title, dry_run, file)
-    except PlanRefused as error:
-        hint = _in_changed_file(client, request)
-        raise PlanRefused(f"{error}; {hint}" if hint else str(error)) from None
+    from midstride.cli.follow import Sending, explained_when_interrupted
+
+    sending = Sending()
+    with nullcontext() if dry_run else explained_when_interrupted(lambda: sending.interrupted(client)):
+        request = asked(client) if callable(asked) else asked
+        request = {**request, "strategy": options.strategy, "detours": options.detours}
+        request["with_other_nodes"] = options.with_other_nodes
+        try:
+            return _change(options, client, request, title, sending, dry_run, file)
+        except PlanRefused as error:
+            hint = _in_changed_file(client, request)
+            raise PlanRefused(f"{error}; {hint}" if hint else str(error)) from None
 
 
 def _in_changed_file(client: Client, request: Document) -> str | None:
@@ -276,7 +280,13 @@ def _in_changed_file(client: Client, request: Document) -> str | None:
 
 
 def _change(
-    options: RequestOptions, client: Client, request: Document, title: str, dry_run: bool, file: str | None
+    options: RequestOptions,
+    client: Client,
+    request: Document,
+    title: str,
+    sending: Sending,
+    dry_run: bool,
+    file: str | None,
 ) -> int:
     """Carry out :func:`change` with the manager's ``client``."""
     expected = None
@@ -297,16 +307,9 @@ def _change(
             return 1
         expected = preview.revision
     document = {"request": request, "expected": expected, "verify": options.verify, "wait": options.wait, "file": file}
-    from midstride.cli.follow import Sending
-
-    sending = Sending(uuid.uuid4().hex)
     document |= {"by": asked_by(title), "despite_lock": options.despite_lock, "id": sending.id}
     document["despite_requirements"] = options.despite_requirements
-    try:
-        outcome = _carry_out(client, document, title, sending, show_plan=options.yes)
-    except (KeyboardInterrupt, BrokenPipeError, SystemExit):  # rich exits where the reader of its output has gone
-        click.echo(f"\n{sending.interrupted(client)}", err=True)
-        raise
+    outcome = _carry_out(client, document, title, sending, show_plan=options.yes)
     if wants_json():
         print_json(outcome)
     return 0 if outcome.outcome == "done" and outcome.continuity is not None and not outcome.continuity.lasting else 1

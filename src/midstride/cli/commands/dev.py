@@ -64,6 +64,7 @@ def dev_command(
             screen.say(line, "red")
     elif use_sim_time or no_middleware_settings or no_diagnostics:
         screen.say(f"{workspace.name} is running already: --use-sim-time and --no-… have no effect")
+    changes: Changes | None = None
     try:
         changes = Changes(client, str(file.resolve()), with_other_nodes=with_other_nodes)
         session = DevSession(specification, client, changes.carry_out, screen)
@@ -75,7 +76,9 @@ def dev_command(
         for _ in saves(session.folders):
             session.look()
     except KeyboardInterrupt:
-        pass
+        if changes is not None and not started:
+            for line in changes.interrupted():
+                screen.say(line, "yellow")
     finally:
         if started:
             with suppress(OSError):  # the terminal may be closed

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from midstride.cli.durations import duration
+from midstride.cli.follow import Sending, explained_when_interrupted
 from midstride.cli.output import json_option, show
 from midstride.cli.running_systems import find, system_option
 from midstride.cli.user_name import user_name
@@ -86,14 +87,23 @@ def lock_command(
         raise click.UsageError("--reason is empty: say why the system must not be changed")
     client, _ = find(system)
     end = until if lasting is None else time.time() + lasting
-    lock = client.lock(reason.strip(), _asked_by(by), end, holds_recovery=also_recovery)
-    from midstride.cli.render_status import lock_line
+    sending = Sending()
+    with explained_when_interrupted(lambda: _interrupted(sending)):
+        lock = client.lock(reason.strip(), _asked_by(by), end, holds_recovery=also_recovery, begin=sending.begin)
+        from midstride.cli.render_status import lock_line
 
-    lines = [f"{lock_line(lock)}."]
-    if (running := client.status().running) is not None:
-        lines.append(f"`{running.command}` is being carried out, and goes on.")
+        lines = [f"{lock_line(lock)}."]
+        if (running := client.status().running) is not None:
+            lines.append(f"`{running.command}` is being carried out, and goes on.")
     show(lock, lines)
     return 0
+
+
+def _interrupted(sending: Sending) -> str:
+    """Keep the manager from being asked, and say what becomes of the lock."""
+    if sending.withdraw():
+        return "Nothing was changed: the manager had not been asked yet."
+    return "Whether the system is locked now is not known here: `midstride status` shows it."
 
 
 @click.command("unlock")
@@ -103,6 +113,8 @@ def lock_command(
 def unlock_command(by: str | None, system: str | None) -> int:
     """End the lock of the running system, whoever has locked it."""
     client, _ = find(system)
-    lock = client.unlock(_asked_by(by))
+    sending = Sending()
+    with explained_when_interrupted(lambda: _interrupted(sending)):
+        lock = client.unlock(_asked_by(by), sending.begin)
     show(lock, [f"Unlocked. {lock.by} had locked it: {lock.reason}"])
     return 0

@@ -10,6 +10,7 @@ import click
 from midstride.cli import shell_completion
 from midstride.cli.change_options import despite_options, misread, parse_value
 from midstride.cli.command_list import Group
+from midstride.cli.follow import Sending, explained_when_interrupted
 from midstride.cli.output import json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
 from midstride.cli.user_name import user_name
@@ -118,11 +119,19 @@ def set_command(
     It waits for a change that is being carried out.
     """
     client, _ = find(system)
+    sending = Sending()
     try:
         values = {name: parse_value(value)}
-        report = client.set_parameters(
-            node, values, by=user_name(), despite_lock=despite_lock, despite_requirements=despite_requirements
-        )
+        with explained_when_interrupted(lambda: sending.interrupted(client)):
+            report = client.set_parameters(
+                node,
+                values,
+                by=user_name(),
+                id=sending.id,
+                despite_lock=despite_lock,
+                despite_requirements=despite_requirements,
+                begin=sending.begin,
+            )
     except CommandRefused as error:
         from midstride.codec.parameter import value_of
 

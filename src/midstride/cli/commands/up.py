@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 
 import click
@@ -16,13 +17,13 @@ import click
 from midstride.backends import NAMES
 from midstride.cli.client import Client
 from midstride.cli.first_rates import settled
-from midstride.cli.follow import FollowedRequest
+from midstride.cli.follow import FollowedRequest, explained_when_interrupted
 from midstride.cli.input_files import load
 from midstride.cli.live_view import watch
 from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.progress import Progress
 from midstride.cli.render import degraded_line
-from midstride.cli.shutdown import wait_for_manager_exit
+from midstride.cli.shutdown import stop
 from midstride.cli.staying import ended_by_signals, stay
 from midstride.codec.form import encode
 from midstride.codec.specification_form import encode_specification
@@ -176,9 +177,14 @@ def up_command(
     arguments += ["--finish-interrupted"] * finish_interrupted + ["--keep-degraded"] * keep_degraded
     arguments += ["--strict"] * strict
     with ended_by_signals() if stop_on_exit else nullcontext():
-        status = _up(client, workspace, specification, file, arguments, http, http_host)
+        answer = bring_up(client, workspace, arguments)
+        shown = partial(_show_how_it_came_up, client, workspace, specification, file, answer, http, http_host)
         if stop_on_exit:
-            return stay(client, workspace.name)
+            return stay(client, workspace.name, shown)
+    name = workspace.name
+    goes_on = f"{name} is up and keeps running: `midstride status` shows it, `midstride down` stops it."
+    with explained_when_interrupted(lambda: goes_on):
+        status = shown()
     return status if detach or wants_json() else watch(client, workspace.name) or status
 
 
@@ -194,17 +200,16 @@ def _dry_run(specification: Specification, backend: str, directory: Path, option
     return EXIT_STATUS["degraded" if len(failed) < len(found.processes) + len(found.by_hand) else "down"]
 
 
-def _up(
+def _show_how_it_came_up(
     client: Client,
     workspace: Workspace,
     specification: Specification,
     file: Path,
-    arguments: list[str],
+    answer: UpReport,
     http: int | None,
     http_host: str | None,
 ) -> int:
-    """Bring the system up, and print how that went; returns the exit status: 3 if not all is up, 1 if nothing is."""
-    answer = bring_up(client, workspace, arguments)
+    """Print how bringing the system up went; returns the exit status: 3 if not all is up, 1 if nothing is."""
     if encode_specification(client.specification()) != encode_specification(specification):
         click.echo(
             f"{workspace.name} was already running and differs from {file}; it was reattached unchanged. "
@@ -311,9 +316,11 @@ def _wait_until_up(client: Client) -> UpReport:
 
 def _undo(client: Client, workspace: Workspace, manager: subprocess.Popen[bytes], log: Path) -> None:
     """Stop the system and its manager. A manager that does not answer yet would still start the system: wait for it."""
+    name = workspace.name
+    goes_on = f"The manager of {name} may still start it: `midstride down --system {name}` stops it."
     try:
-        _wait_for_manager(client, manager, log)
+        with explained_when_interrupted(lambda: goes_on):
+            _wait_for_manager(client, manager, log)
     except ManagerError:  # it has exited
         return
-    client.down()
-    wait_for_manager_exit(workspace)
+    stop(client, workspace)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import queue
 import threading
-import uuid
 from collections.abc import Callable
 from typing import Any
 
 from midstride.cli.client import Client
-from midstride.cli.follow import last_event_number
+from midstride.cli.follow import Sending, last_event_number
 from midstride.codec.form import Document
 from midstride.errors import MidstrideError
 from midstride.runtime.records.measure import SwapReport
@@ -28,6 +27,7 @@ class Changes:
         self._with_other_nodes = with_other_nodes
         self._file = file
         self._events: queue.Queue[Event | str] = queue.Queue()  # also the id of a request that was answered
+        self._unanswered: dict[str, Sending] = {}
         since = last_event_number(client)
         threading.Thread(target=self._follow, args=(since,), daemon=True).start()
 
@@ -44,19 +44,22 @@ class Changes:
         Once a change whose new publishers were let in has been watched and measured, or was taken back after all,
         ``finished`` is called with the outcome, in another thread. Raises the manager's error.
         """
-        id, let_in = uuid.uuid4().hex, threading.Event()
+        sending, let_in = Sending(), threading.Event()
+        id = sending.id
+        self._unanswered[id] = sending
         answer: list[Outcome | MidstrideError] = []
 
         def send() -> None:
             try:
                 asked = {**request, "with_other_nodes": self._with_other_nodes}
                 change = {"request": asked, "brief": True, "id": id, "file": self._file, "by": "midstride dev"}
-                outcome = self._client.change(change)
+                outcome = self._client.change(change, sending.begin)
                 answer.append(outcome)
                 if outcome.outcome == "done" or let_in.is_set():
                     finished(outcome)
             except MidstrideError as error:
                 answer.append(error)
+            del self._unanswered[id]
             self._events.put(id)
 
         threading.Thread(target=send, daemon=True).start()
@@ -76,6 +79,10 @@ class Changes:
             elif event.kind in ("watching", "measuring") and ours:
                 let_in.set()
                 return None
+
+    def interrupted(self) -> list[str]:
+        """Request nothing more; what becomes of each request that is not answered yet."""
+        return [sending.interrupted(self._client) for sending in list(self._unanswered.values())]
 
 
 def worst(swaps: list[SwapReport], figure: str) -> Any:
