@@ -9,8 +9,8 @@ import { clock, h, replace } from "./dom.js";
 /** @typedef {import("./store.js").Event} Event */
 
 const SHOWN = 200;
-const BAD = new Set("exited up_failed step_failed rollback_failed fenced killed respawn_ended restore_ended not_answering".split(" "));
-const WARN = new Set("degraded rollback rolled_back respawn restore note".split(" "));
+const BAD = new Set("exited up_failed step_failed rollback_failed fenced killed respawn_ended restore_ended not_answering forbidden override finished_despite".split(" "));
+const WARN = new Set("degraded rollback rolled_back respawn restore note lock unlock".split(" "));
 
 /**
  * @param {Event} event

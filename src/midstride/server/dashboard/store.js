@@ -22,7 +22,7 @@ import { follow } from "./stream.js";
  *   topics: Record<string, Topic>}} View
  * @typedef {Api.Event} Event
  * @typedef {Api.PlanPreview & {alternatives?: Api.Alternative[], start?: Api.SpecificationForm | null,
- *   target?: Api.SpecificationForm | null}} Plan
+ *   target?: Api.SpecificationForm | null, forbidden?: string, requires?: Api.RequirementStatus[]}} Plan
  * @typedef {{state: "connecting" | "live" | "lost" | "refused" | "ended", since: number, because: string | null,
  *   retryAt: number | null}} Connection
  * @typedef {{at: number | null, shown: number | null}} Time the moment that was asked for, and that whose view is shown; null is

@@ -7,7 +7,7 @@
 import { h, plural } from "../dom.js";
 import { axis, fallRows, gapRows, gapSpan, spanOf, stepRows } from "../plan/axis.js";
 import { details, figures, headline } from "../plan/outcome.js";
-import { about, afterwards, cost, duration, falls, remarks, stepText } from "../plan/words.js";
+import { about, afterwards, cost, duration, falls, permission, remarks, stepText } from "../plan/words.js";
 
 /** @param {string} text @param {typeof import("../say.js").say} say */
 export function command(text, say) {
@@ -89,6 +89,7 @@ function took(step, span) {
 export function planParts(plan, width) {
   if (!plan.steps.length) return [summary(plan)];
   return [
+    ...permission(plan).map(({ kind, words }) => h("p", { class: "permission", "data-kind": kind || null }, words)),
     summary(plan),
     ...remarks(plan).map((each) => h("p", { class: "remark" }, each)),
     steps(plan),

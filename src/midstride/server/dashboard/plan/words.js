@@ -185,6 +185,21 @@ export function cost(plan) {
   return `${disruption}; takes about ${aboutPlan(plan)}; strategy ${plan.strategy}.`;
 }
 
+/**
+ * Why a plan may not be carried out now, and what changes require; of the running system.
+ *
+ * @param {import("../store.js").Plan} plan
+ * @returns {{kind: "bad" | "", words: string}[]}
+ */
+export function permission(plan) {
+  const required = (plan.requires ?? []).map(({ requirement, holds, because }) => ({
+    kind: /** @type {"bad" | ""} */ (holds ? "" : "bad"),
+    words: `Required: ${requirement}: ${holds ? "it holds" : because}.`,
+  }));
+  if (!plan.forbidden) return required;
+  return [{ kind: "bad", words: `It may not be carried out now: ${plan.forbidden}` }, ...required];
+}
+
 /** What a plan does besides its steps, and to values that were set at run time. @param {import("../store.js").Plan} plan @returns {string[]} */
 export function remarks(plan) {
   const own = Object.entries(plan.own_state ?? {}).map(([name, because]) => `${name} starts with its own state: ${because}.`);
