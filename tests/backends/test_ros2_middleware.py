@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from contextlib import ExitStack
+from pathlib import Path
 from random import Random
 from types import SimpleNamespace
 from typing import Any
@@ -39,6 +40,26 @@ def test_status_says_what_the_middleware_does_not_tell(rmw: middleware.RmwImplem
     notes = settings.described({}, settings.warnings).notes
     assert [note.partition(":")[0] for note in notes if not note.startswith("discovery")] == unknown
     assert all(rmw.identifier in note for note in notes)
+
+
+@pytest.mark.ros2
+@pytest.mark.parametrize(("stated", "domain"), [(None, "0"), ("", "0"), (" 07", "7"), ("43", "43")])
+def test_what_a_manager_reaches_is_by_the_implementation_that_is_loaded_and_its_domain(
+    stated: str | None, domain: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whichever way the implementation was chosen: there may be one only, or the variable may name the default."""
+    import rclpy
+
+    from midstride.backends.ros2 import create_backend
+
+    if stated is None:
+        monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    else:
+        monkeypatch.setenv("ROS_DOMAIN_ID", stated)
+    backend, loaded = create_backend(tmp_path / "components"), rclpy.get_rmw_implementation_identifier()
+    assert backend.reach() == {"ROS_DOMAIN_ID": domain, "RMW_IMPLEMENTATION": loaded}
+    monkeypatch.setattr(rclpy, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    assert backend.reach() == {"ROS_DOMAIN_ID": domain, "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}
 
 
 @pytest.mark.parametrize(

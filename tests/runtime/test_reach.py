@@ -18,14 +18,14 @@ from tests.runtime.systems import EXAMPLES, example, saved
 
 
 class Reaching(Simulator):
-    """A platform with ROS domains."""
+    """A platform with ROS domains and middlewares."""
 
-    def __init__(self, domain: str) -> None:
+    def __init__(self, domain: str, middleware: str = "rmw_fastrtps_cpp") -> None:
         super().__init__()
-        self._domain = domain
+        self._reach = {"ROS_DOMAIN_ID": domain, "RMW_IMPLEMENTATION": middleware}
 
     def reach(self) -> dict[str, str]:
-        return {"ROS_DOMAIN_ID": self._domain, "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
+        return self._reach
 
 
 def manager(folder: Path, simulator: Simulator) -> Manager:
@@ -64,7 +64,26 @@ def test_nothing_is_adopted_that_could_not_be_reached(domain: str, started: floa
     other.run(again())
 
 
-def test_a_manager_in_another_domain_refuses_to_begin(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("other", "theirs", "this"),
+    [
+        (Reaching("151"), "ROS_DOMAIN_ID=150", "ROS_DOMAIN_ID=151"),
+        (
+            Reaching("150", "rmw_cyclonedds_cpp"),
+            "RMW_IMPLEMENTATION=rmw_fastrtps_cpp",
+            "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp",
+        ),
+        (
+            Reaching("0", "rmw_zenoh_cpp"),
+            "ROS_DOMAIN_ID=150, RMW_IMPLEMENTATION=rmw_fastrtps_cpp",
+            "ROS_DOMAIN_ID=0, RMW_IMPLEMENTATION=rmw_zenoh_cpp",
+        ),
+    ],
+    ids=["domain", "middleware", "both"],
+)
+def test_a_manager_that_reaches_elsewhere_refuses_to_begin(
+    other: Reaching, theirs: str, this: str, tmp_path: Path
+) -> None:
     leave_running(tmp_path, Reaching("150"))
     info = process_info(os.getpid())
     assert info is not None
@@ -73,7 +92,7 @@ def test_a_manager_in_another_domain_refuses_to_begin(tmp_path: Path) -> None:
     for each in saved(Workspace(tmp_path)).instances:
         store.write_instance(each.instance, Handle(each.instance.name, info.pid, info.started))
     store.close()
-    other = Reaching("151")
+    before = saved(Workspace(tmp_path)).reach
 
     async def again() -> None:
         second = manager(tmp_path, other)
@@ -81,9 +100,9 @@ def test_a_manager_in_another_domain_refuses_to_begin(tmp_path: Path) -> None:
             await second.up()
         await second.close()
         assert str(refused.value) == (
-            "listener, talker run with ROS_DOMAIN_ID=150, and this manager has ROS_DOMAIN_ID=151, so it would not "
-            "reach them: run `midstride up` with ROS_DOMAIN_ID=150 again, or `midstride down` first"
+            f"listener, talker run with {theirs}, and this manager has {this}, so it would not "
+            f"reach them: run `midstride up` with {theirs} again, or `midstride down` first"
         )
 
     other.run(again())
-    assert saved(Workspace(tmp_path)).reach["ROS_DOMAIN_ID"] == "150", "nothing was changed"
+    assert saved(Workspace(tmp_path)).reach == before, "nothing was changed"

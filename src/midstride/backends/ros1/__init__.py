@@ -6,6 +6,7 @@ beside ROS 2. A component's process has rospy, and no ROS 2 on its ``sys.path``.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,8 +49,9 @@ def create_host(name: str, namespace: str) -> Ros1Host:
             "or in a virtual environment with --system-site-packages"
         ) from error
     from midstride.backends.ros1.host import Ros1Host
+    from midstride.backends.ros1.launching import ENV_NODE
 
-    return Ros1Host(name, namespace)
+    return Ros1Host(name, namespace, os.environ.get(ENV_NODE, ""))
 
 
 def create_backend(control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> Ros1Backend:

@@ -12,8 +12,11 @@ import os
 import socket
 from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Final
+
+import msgspec
 
 from midstride.backends import naming, processes
 from midstride.backends.common import in_background
@@ -42,6 +45,8 @@ from midstride.runtime.timeouts import within
 # How long taking back the registrations of a dead node may delay the report of its end (s).
 _TIDY: Final = 1.0
 _RELAY: Final = f"{__package__}.relay_program"
+# The file of the nodes that are not called as their instances are.
+_NODE_NAMES: Final = "node-names"
 
 
 class Ros1Backend(processes.ProcessBackend, Backend):
@@ -109,13 +114,9 @@ class Ros1Backend(processes.ProcessBackend, Backend):
 
     async def start(self, launch: Launch) -> Handle:
         master = self._opened()
-        node = full_name(launch.instance, launch.namespace)
-        command = self._program(launch)
-        if await master.is_running(node):
-            raise StartFailed(
-                f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
-                "end it yourself, or use another name"
-            )
+        own, command = full_name(launch.instance, launch.namespace), self._program(launch)
+        node = await self._free_name(launch)
+        self._note_node(launch.instance, node)
         if launch.foreign is not None:
             if not launch.foreign.once:
                 command = self._relay(launch, launch.foreign, node, command)
@@ -125,9 +126,57 @@ class Ros1Backend(processes.ProcessBackend, Backend):
             for name, value in _values(launch).items():
                 await master.set_parameter(f"{node}/{name}", value)
             launch = replace(launch, parameters={}, set_parameters={})
-        handle = await self._spawn(launch, node, command, self._environment(launch))
+        environment = self._environment(launch)
+        if node != own and launch.foreign is None:
+            environment[launching.ENV_NODE] = split_name(node)[0]
+        handle = await self._spawn(launch, own, command, environment)
         self._dead.discard(node)
         return handle
+
+    async def _free_name(self, launch: Launch) -> str:
+        """The full name of the node of an instance, which no node has yet: the master would end the first of two.
+
+        A replacement gets another number than its instance has where a node outside the system has that name. Raises
+        StartFailed.
+        """
+        master, node = self._opened(), full_name(launch.instance, launch.namespace)
+        if not await master.is_running(node):
+            return node
+        if launch.instance == (launch.role or launch.instance):
+            raise StartFailed(
+                f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
+                "end it yourself, or use another name"
+            )
+        for number in count(2):
+            other = full_name(f"{launch.role}_{number}", launch.namespace)
+            if not await master.is_running(other):
+                return other
+        raise AssertionError("there is always a further number")
+
+    def _note_node(self, instance: str, node: str) -> None:
+        """Keep the full name of the node of an instance until another one of that name is started.
+
+        The next manager needs it, too: by the name of the instance it would take back what a node outside the system
+        has registered. Raises StartFailed.
+        """
+        path, known = self._control / GATES_FOLDER / _NODE_NAMES, self._node_names()
+        if known.get(instance, full_name(instance)) == node:
+            return
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            path.write_bytes(msgspec.json.encode({**known, instance: node}))
+        except OSError as error:
+            raise StartFailed(f"{path} cannot be written: {error.strerror or error}") from None
+
+    def _node_names(self) -> dict[str, str]:
+        try:
+            return msgspec.json.decode((self._control / GATES_FOLDER / _NODE_NAMES).read_bytes(), type=dict[str, str])
+        except (OSError, msgspec.DecodeError):
+            return {}
+
+    def _node_of(self, instance: str) -> str:
+        """The full name of the node of an instance."""
+        return self._node_names().get(instance) or full_name(instance)
 
     def _relay(self, launch: Launch, component: ComponentSpec, node: str, command: Sequence[str]) -> tuple[str, ...]:
         """The command of the relay of a program, whose node is ``node``."""
@@ -171,7 +220,7 @@ class Ros1Backend(processes.ProcessBackend, Backend):
             await self._died(instance)
             return False
         master, here = launching.master_of(handle.pid), self._opened()
-        if master != here.uri and await here.address_of(full_name(instance)) is None:
+        if master != here.uri and await here.address_of(self._node_of(instance)) is None:
             raise Unreachable(
                 f"{instance} runs (process {handle.pid}) with {launching.MASTER_URI}={master}, and this manager has "
                 f"{here.uri}: set {launching.MASTER_URI}={master}, or end the component"
@@ -194,9 +243,9 @@ class Ros1Backend(processes.ProcessBackend, Backend):
 
     async def _died(self, instance: str) -> None:
         """Take back what a component that has ended may have left with the master, in bounded time."""
-        ended, given = [full_name(instance)], list[str]()
+        ended, given = [self._node_of(instance)], list[str]()
         if (path := self._order_file(instance)).exists():  # that was the node of its program
-            ended.append(f"{ended[0]}{RELAY_SUFFIX}")
+            ended.append(f"{full_name(instance)}{RELAY_SUFFIX}")
             with contextlib.suppress(BackendError):
                 order = RelayOrder.read(path)
                 given = [f"{order.node}/{name}" for name in order.stated]

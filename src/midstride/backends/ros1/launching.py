@@ -25,6 +25,8 @@ BESIDE: Final = ".venv-ros1"
 MASTER_URI: Final = "ROS_MASTER_URI"
 # A node's namespace: rospy reads it when it is imported.
 NAMESPACE: Final = "ROS_NAMESPACE"
+# The name of a component's node, where it is not that of its instance.
+ENV_NODE: Final = "MIDSTRIDE_ROS1_NODE"
 DEFAULT_MASTER: Final = "http://localhost:11311"
 LOOPBACK: Final = "127.0.0.1"
 
