@@ -31,8 +31,8 @@ POLL = 0.02
 _ENDING: Final = frozenset({"outcome", "parameters"})
 
 
-class Fate(Enum):
-    """What has become of a request when its command is interrupted."""
+class Sent(Enum):
+    """The state of a request whose command is interrupted."""
 
     WITHDRAWN = auto()  # it was not sent
     NOT_KNOWN = auto()  # it was sent at least in part, and the manager says nothing of it
@@ -66,39 +66,39 @@ class Sending:
             self._withdrawn = not self._begun
             return self._withdrawn
 
-    def fate(self, client: Client) -> tuple[Fate, str]:
+    def fate(self, client: Client) -> tuple[Sent, str]:
         """Keep the request from being sent, and find out what becomes of it; for WAITING, also for what it waits."""
         if self.withdraw():
-            return Fate.WITHDRAWN, ""
+            return Sent.WITHDRAWN, ""
         end = time.monotonic() + BEGIN_TIMEOUT
         try:
             while (found := self._in(client.log())) is None and time.monotonic() <= end:
                 time.sleep(POLL)
         except MidstrideError:
             found = None
-        return found or (Fate.NOT_KNOWN, "")
+        return found or (Sent.NOT_KNOWN, "")
 
-    def _in(self, events: Sequence[Event]) -> tuple[Fate, str] | None:
-        """What the events say of the request; None where it is in none of them."""
-        found: tuple[Fate, str] | None = None
+    def _in(self, events: Sequence[Event]) -> tuple[Sent, str] | None:
+        """Return the state that the events show; None where the request is in none of them."""
+        found: tuple[Sent, str] | None = None
         for event in events:
-            if event.kind == "command" and found is not None and found[0] is Fate.BEGUN:
-                return Fate.ENDED, ""  # the manager runs one at a time
+            if event.kind == "command" and found is not None and found[0] is Sent.BEGUN:
+                return Sent.ENDED, ""  # the manager runs one at a time
             if event.kind in {"waiting", "command"} and event.id == self.id:
-                found = (Fate.WAITING, event.words) if event.kind == "waiting" else (Fate.BEGUN, "")
-            elif event.kind in _ENDING and found is not None and found[0] is Fate.BEGUN:
-                return Fate.ENDED, ""
+                found = (Sent.WAITING, event.words) if event.kind == "waiting" else (Sent.BEGUN, "")
+            elif event.kind in _ENDING and found is not None and found[0] is Sent.BEGUN:
+                return Sent.ENDED, ""
         return found
 
     def interrupted(self, client: Client) -> str:
         """Keep the change from being requested, and say what becomes of it, as far as that is known."""
         fate, waits = self.fate(client)
         return {
-            Fate.WITHDRAWN: "Nothing was changed: the manager had not been asked yet.",
-            Fate.NOT_KNOWN: "Whether the manager carries out the change is not known: `midstride log` shows it.",
-            Fate.WAITING: f"The manager carries out the change later: {waits}. `midstride log` shows how it ends.",
-            Fate.BEGUN: "The manager continues with the change; `midstride log` shows how it ends.",
-            Fate.ENDED: "The change had ended; `midstride log` shows how.",
+            Sent.WITHDRAWN: "Nothing was changed: the manager had not been asked yet.",
+            Sent.NOT_KNOWN: "Whether the manager carries out the change is not known: `midstride log` shows it.",
+            Sent.WAITING: f"The manager carries out the change later: {waits}. `midstride log` shows how it ends.",
+            Sent.BEGUN: "The manager continues with the change; `midstride log` shows how it ends.",
+            Sent.ENDED: "The change had ended; `midstride log` shows how.",
         }[fate]
 
 

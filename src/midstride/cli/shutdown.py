@@ -9,7 +9,7 @@ import click
 
 from midstride import backends
 from midstride.cli.client import Client
-from midstride.cli.follow import Fate, Sending, explained_when_interrupted
+from midstride.cli.follow import Sending, Sent, explained_when_interrupted
 from midstride.cli.running_systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
 from midstride.model.component import DEFAULT_STOP
@@ -60,14 +60,14 @@ def stop(client: Client, workspace: Workspace) -> DownReport:
 def _interrupted(sending: Sending, client: Client, workspace: Workspace) -> str:
     """Keep the manager from being asked, and say what becomes of its system, as far as that is known."""
     name, (fate, waits) = workspace.name, sending.fate(client)
-    if fate is not Fate.WITHDRAWN and workspace.manager() is None:
+    if fate is not Sent.WITHDRAWN and workspace.manager() is None:
         return f"The manager of {name} has ended: `midstride down --system {name}` stops what is left, if anything is."
     return {
-        Fate.WITHDRAWN: "Nothing was stopped: the manager had not been asked yet.",
-        Fate.NOT_KNOWN: f"Whether the manager stops {name} is not known: `midstride status` shows what runs.",
-        Fate.WAITING: f"The manager stops {name} later: {waits}. `midstride status` shows what runs.",
-        Fate.BEGUN: f"The manager goes on stopping {name}: `midstride status` shows what still runs.",
-        Fate.ENDED: f"{name} could not be stopped whole: `midstride log` says what is left.",
+        Sent.WITHDRAWN: "Nothing was stopped: the manager had not been asked yet.",
+        Sent.NOT_KNOWN: f"Whether the manager stops {name} is not known: `midstride status` shows what runs.",
+        Sent.WAITING: f"The manager stops {name} later: {waits}. `midstride status` shows what runs.",
+        Sent.BEGUN: f"The manager goes on stopping {name}: `midstride status` shows what still runs.",
+        Sent.ENDED: f"{name} could not be stopped whole: `midstride log` says what is left.",
     }[fate]
 
 
