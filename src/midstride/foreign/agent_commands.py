@@ -49,7 +49,7 @@ class ForeignCommands:
                 if self._parameters is not None and answers:
                     await self._parameters.read()
                 return self._node.state()
-            case commands.SetParametersCommand() if self._parameters is not None and self._lifecycle is not None:
+            case commands.SetParametersCommand() if self._parameters is not None:
                 return await self._parameters.set(command)
             case commands.PingCommand() | commands.MeetCommand() | commands.AnswerCommand() | commands.HoldCommand():
                 pass  # to hold: its code makes its calls at any time, and its modes change without them

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final
 
-from midstride.foreign.mode_parameters import on_entry, set_parameters
+from midstride.errors import CommandRefused
+from midstride.foreign.mode_parameters import SET_TIMEOUT, NotAnswered, on_entry, set_parameters
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.services import NoAnswer, NodeServices
+from midstride.model.diagnostics import suggestion
 from midstride.wire import commands, replies
 
 # How long the node may take to say the values of its parameters (s).
 READ_TIMEOUT: Final = 1.0
+# How long one that has not said whether it has set its parameters may take to have them back (s).
+TAKE_BACK_TIMEOUT: Final = 0.5
 # Parameters that ROS 2 itself declares, and that cannot be set.
 _OF_ROS: Final = ("qos_overrides.", "start_type_description_service")
 
@@ -52,25 +56,68 @@ class ForeignParameters:
         }
 
     async def set(self, command: commands.SetParametersCommand) -> replies.PreviousParameters:
-        """All of them or none; those that have their value already are not set. Raises CommandRefused."""
+        """All of them or none; those that have their value already are not set. Raises CommandRefused.
+
+        Values of the specification that a mode states otherwise are set when that mode is left.
+        """
+        node, names = self._node, command.parameters.keys()
         await self.read()
-        before, declared = dict(self._node.parameters), dict(self._node.declared)
-        changed = {name: value for name, value in command.parameters.items() if before.get(name) != value}
-        await self.apply(changed)
-        stated = command.parameters if command.declared is None else command.declared
-        self._node.change_record(started_with={**(self._node.record.started_with or {}), **stated})
+        if node.unread_parameters:
+            words = f"its node {node.record.node} has not said its parameters within {READ_TIMEOUT:g} s"
+            raise CommandRefused(f"{node.record.instance} has not set {', '.join(names)}: {words}; nothing was set")
+        before, declared = dict(node.parameters), dict(node.declared)
+        held = self._stated_by_modes() if command.declared is None else frozenset()
+        changed = {
+            name: value for name, value in command.parameters.items() if before.get(name) != value and name not in held
+        }
+        try:
+            await self.apply(changed, command.timeout)
+        except NotAnswered as error:
+            raise CommandRefused(f"{error}; {await self._take_back(changed)}") from None
+        except CommandRefused as error:
+            hints = [f"it has no {name}; {suggestion(name, before)}" for name in changed if name not in before]
+            raise CommandRefused("; ".join([str(error), *hints])) from None
+        self._note_set(command)
         await self.read()
-        names = command.parameters.keys()
         return replies.PreviousParameters(
             before={name: before[name] for name in names if name in before},
             declared={name: declared[name] for name in names if name in declared},
+        )
+
+    def _stated_by_modes(self) -> frozenset[str]:
+        """The parameters of which the current modes state the values."""
+        component, modes = self._node.component, self._node.record.modes
+        current = (each.modes[each.mode_index(modes[each.name])] for each in component)
+        return frozenset(name for mode in current for name in mode.parameters)
+
+    async def _take_back(self, values: Mapping[str, Any]) -> str:
+        """Set what was there before ``values``, which may have been set or may be set yet; say what comes of it."""
+        before = {name: value for name, value in self._node.parameters.items() if name in values}
+        try:
+            await self.apply(before, TAKE_BACK_TIMEOUT)
+        except CommandRefused:
+            return "whether it has them now is not known: `midstride param list` says so once it answers"
+        return "it has the values before"
+
+    def _note_set(self, command: commands.SetParametersCommand) -> None:
+        """Note in the record what the node has from now on, and whose values these are."""
+        record, names = self._node.record, command.parameters.keys()
+        stated = command.parameters if command.declared is None else command.declared
+        requested = {*record.requested} - names
+        own = stated if command.declared is None else {name: stated[name] for name in stated if name in record.stated}
+        if command.declared is not None:
+            requested |= names - {*command.unknown_origin}
+        self._node.change_record(
+            started_with={**(record.started_with or {}), **stated},
+            stated={**record.stated, **own},
+            requested=sorted(requested),
         )
 
     async def enter_modes(self, modes: Mapping[str, str]) -> None:
         """Set what these modes (by functionality) state. Raises CommandRefused with the node's reason."""
         await self.apply(on_entry(self._node.component, modes, self._node.record.stated))
 
-    async def apply(self, values: Mapping[str, Any]) -> None:
-        """Set all of these, or none. Raises CommandRefused with the node's reason."""
+    async def apply(self, values: Mapping[str, Any], timeout: float = SET_TIMEOUT) -> None:
+        """Set all of these in ``timeout`` (s), or none. Raises CommandRefused with the reason, or NotAnswered."""
         node = self._node
-        await set_parameters(self._services, node.record.instance, node.component, values, node.parameters)
+        await set_parameters(self._services, node.record.instance, node.component, values, node.parameters, timeout)

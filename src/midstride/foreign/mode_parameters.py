@@ -15,6 +15,10 @@ from midstride.node.author.declared_parameters import fitted_to
 SET_TIMEOUT: Final = 4.0
 
 
+class NotAnswered(CommandRefused):
+    """The node has not answered: whether it has set its parameters, or will, is not known."""
+
+
 def on_entry(
     component: ComponentSpec, modes: Mapping[str, str], stated: Mapping[str, ParameterValue]
 ) -> dict[str, ParameterValue]:
@@ -36,19 +40,20 @@ async def set_parameters(
     component: ComponentSpec,
     values: Mapping[str, Any],
     known: Mapping[str, Any] | None = None,
+    timeout: float = SET_TIMEOUT,
 ) -> None:
-    """Set all of these, or none. ``known``: the parameters of the node, where it has said them.
+    """Set all of these in ``timeout`` (s), or none. ``known``: the parameters of the node, where it has said them.
 
-    Raises CommandRefused with the node's reason.
+    Raises CommandRefused with the node's reason, or NotAnswered.
     """
     if not values:
         return
     values = {name: from_json(value) for name, value in values.items()}
     what = ", ".join(f"{name} = {value!r}" for name, value in values.items())
     try:
-        refused = await services.set_parameters(typed(component, values, known or {}), SET_TIMEOUT)
+        refused = await services.set_parameters(typed(component, values, known or {}), timeout)
     except NoAnswer as error:
-        raise CommandRefused(f"{instance} has not set {what}: {error}") from None
+        raise NotAnswered(f"{instance} has not set {what}: {error}") from None
     if refused is not None:
         raise CommandRefused(f"{instance} refuses {what}: {refused or 'it gives no reason'}")
 

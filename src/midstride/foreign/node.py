@@ -174,6 +174,7 @@ class ForeignNode:
             imported=1,
             host=THIS_HOST,
             unread_parameters=self.unread_parameters,
+            unknown_origin=[name for name in self.declared if name not in record.requested],
             simulated_time=record.simulated_time,
             clock_speed=self.others.speed if record.simulated_time else 1.0,
         )

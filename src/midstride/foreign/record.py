@@ -22,7 +22,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     attachment, of those that are attached. ``outputs``: those that the specification attaches. ``modes``: by
     functionality; ``fallen``: why the reflex has entered these, where it has. ``stated``: the parameters of the
     specification; ``taken_over``: those that were set while its predecessor ran; ``started_with``: all that it had at
-    first, once known, except what is only taken over.
+    first, once known, except what is only taken over; ``requested``: those that Midstride was asked to set.
     ``predecessor``: the full name of the node that it replaces, where that runs until this one is up.
     ``was_active``: it is a lifecycle node that another program manages, and it or its predecessor has been active.
     ``role``: what it is an instance of. ``unnamed``: its program gives the node its name itself, and it was not passed
@@ -45,6 +45,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     stated: dict[str, Any] = {}
     taken_over: dict[str, Any] = {}
     started_with: dict[str, Any] | None = None
+    requested: list[str] = []
     welcomed: bool = False
     predecessor: str | None = None
     was_active: bool = False

@@ -281,10 +281,10 @@ MODEL: Final = (
     ),
     _entry(
         "E027: gate that cannot work",
-        """A component with a `gate`, whose program does not use Midstride's API, has no `run` command, a parameter that
-        is `changeable`, an input that is a `condition`, or a mode between the first and the last that sets no
-        parameter; with `gate lifecycle`, it has several functionalities; with `gate relay`, an output for which no mode
-        states a type; its node attaches a port to several topics; or a component without a `gate` has a name for the
+        """A component with a `gate`, whose program does not use Midstride's API, has no `run` command, an input that is
+        a `condition`, or a mode between the first and the last that sets no parameter; with `gate lifecycle`, it has
+        several functionalities; with `gate relay`, an output for which no mode states a type, or a parameter that is
+        `changeable`; its node attaches a port to several topics; or a component without a `gate` has a name for the
         topic of a port (`as`), a mode with parameters, a `lazy` output, or states how it is ended (`stop`); or one that
         cannot be a lifecycle node states how long it may take to `activate`; or a lifecycle manager of the system, such
         as Nav2's, has a node in its `node_names` that has `gate lifecycle`, so that two would manage it. A
@@ -309,7 +309,7 @@ MODEL: Final = (
         + NODE,
         STARTED.replace('talker"', 'talker" gate relay').replace("mode silent", "mode quiet { }\n    mode silent")
         + NODE,
-        STARTED.replace('talker"\n', 'talker" gate none\n  parameters { changeable volume = 1 }\n') + NODE,
+        STARTED.replace('talker"\n', 'talker" gate relay\n  parameters { changeable volume = 1 }\n') + NODE,
         STARTED.replace('talker"', 'talker" stop sigterm 10 s sigkill 5 s') + NODE,
         STARTED.replace('talker"', 'talker" activate 10 s gate relay') + NODE,
         STARTED.replace("output out", "output out lazy") + NODE,

@@ -378,7 +378,7 @@ class ComponentSpec:
     @property
     def takes_values_over(self) -> bool:
         """Return whether a node is started with the values that were set on its predecessor while that ran."""
-        return self.gate is None or self.has_lifecycle
+        return self.gate != "relay"
 
     def topic_of(self, port: str) -> str:
         """The name that a program without Midstride's API has for the topic of ``port``."""

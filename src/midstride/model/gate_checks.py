@@ -69,8 +69,8 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         message = f"input {port} of {name} cannot be a condition: {name} does not use Midstride's API"
         yield Problem(_CODE, (*path, "inputs", port, "condition"), message, "omit `condition`")
     for parameter, declared in sorted(component.parameters.items()):
-        if declared.changeable:
-            message = f"parameter {parameter} of {name} cannot be set in place: {name} does not use Midstride's API"
+        if declared.changeable and component.gate == "relay":
+            message = f"parameter {parameter} of {name} cannot be set in place: {name} runs behind a relay"
             yield Problem(_CODE, (*path, "parameters", parameter), message, "omit `changeable`")
 
 

@@ -6,7 +6,7 @@ wins. Pure: the runtime says which values were set, and does what is decided her
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from midstride.codec.form import Form, field
@@ -24,16 +24,20 @@ from midstride.model.specification import Specification
 from midstride.plan.change import Change
 
 Values: TypeAlias = Mapping[str, ParameterValue]
-Fate: TypeAlias = Literal["kept", "file_wins", "left_behind", "not_kept", "late", "lost"]
+Fate: TypeAlias = Literal["kept", "file_wins", "left_behind", "not_kept", "late", "lost", "refused"]
+Origin: TypeAlias = Literal["set", "unknown"]
 
 
 class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_unknown_fields=False):
     """A parameter value that was set while the node ran, and what becomes of it in a change.
 
-    `kept`: the node keeps it. `lost`: the new program does not use Midstride's API, and starts without it. `file_wins`:
-    the specification changed the value as well. `left_behind`: the new component does not declare the parameter.
+    `kept`: the node keeps it. `lost`: the new program runs behind a relay, and starts without it. `file_wins`: the
+    specification changed the value as well. `left_behind`: the new component does not declare the parameter.
     `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had
-    taken over, and the new one refused it.
+    taken over, and the new one refused it. `refused`: the new node, which does not use Midstride's API, refused it.
+
+    `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known
+    to have been set: a ROS tool has set it, or the node itself.
     """
 
     what: ClassVar[str] = "a parameter value"
@@ -42,52 +46,65 @@ class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_
     parameter: str
     value: ValueForm
     fate: Fate
+    origin: Origin = "set"
     words: Annotated[str, field("a text", "the same for people")]
 
 
 def decide(
-    before: Specification, after: Specification, role: str, values: Values, *, keep: bool = True
+    before: Specification,
+    after: Specification,
+    role: str,
+    values: Values,
+    *,
+    keep: bool = True,
+    unknown: Collection[str] = (),
 ) -> tuple[RuntimeValue, ...]:
     """What becomes of the ``values`` of a role, set while it ran, when its node changes from ``before`` to ``after``.
 
-    Values that the target declares anyway are left out. Without ``keep``, the target's values are used.
+    Values that the target declares anyway are left out. Without ``keep``, the target's values are used. ``unknown``:
+    the parameters of which it is not known whether a tool has set them, or the node itself.
     Raises PlanRefused where a value that would travel is of a type that the new component does not take.
     """
-    return tuple(_decisions(before, after, role, values, keep))
+    decided = _decisions(before, after, role, values, keep)
+    return tuple(
+        runtime_value(role, name, values[name], fate, words, "unknown" if name in unknown else "set")
+        for name, fate, words in decided
+    )
 
 
 def _decisions(
     before: Specification, after: Specification, role: str, values: Values, keep: bool
-) -> Iterator[RuntimeValue]:
+) -> Iterator[tuple[str, Fate, str]]:
+    """Yield the name, the fate and its words of each value that is listed."""
     was, will = before.component_of(role).parameters, after.component_of(role)
     declares = after.instance(role).parameters
     for name, value in sorted(values.items()):
         if name not in declares:
             if not keep:
-                yield runtime_value(role, name, value, "not_kept", "not kept, as requested")
+                yield name, "not_kept", "not kept, as requested"
             elif name in was:
-                yield left_behind(role, name, value, will.name)
+                yield name, "left_behind", _left_behind(will.name)
             elif not will.takes_values_over:
-                yield _lost(role, name, value, will.name, "its own value")
+                yield name, "lost", _lost(will.name, "its own value")
             elif name in ROS_PARAMETERS:
-                yield runtime_value(role, name, value, "kept", "kept")
+                yield name, "kept", "kept"
             else:
-                yield runtime_value(role, name, value, "kept", f"kept if the program of {will.name} declares it")
+                yield name, "kept", f"kept if the program of {will.name} declares it"
         elif same_value(declares[name], value):
             continue
         elif not keep:
-            yield runtime_value(role, name, value, "not_kept", f"not kept, as requested; it becomes {declares[name]!r}")
+            yield name, "not_kept", f"not kept, as requested; it becomes {declares[name]!r}"
         elif _file_changed(before, after, role, name):
-            yield runtime_value(role, name, value, "file_wins", f"the file wins and changes it to {declares[name]!r}")
+            yield name, "file_wins", f"the file wins and changes it to {declares[name]!r}"
         elif not will.takes_values_over:
-            yield _lost(role, name, value, will.name, repr(declares[name]))
+            yield name, "lost", _lost(will.name, repr(declares[name]))
         elif not value_fits(value, default := _default(will, name, declares[name])):
             raise PlanRefused(
                 f"{role} has {name} = {value!r}, set at run time, and {will.name} takes {value_kind(default)}: set "
                 "another value, or start from the file with --declared-parameters"
             )
         else:
-            yield runtime_value(role, name, value, "kept", "kept")
+            yield name, "kept", "kept"
 
 
 def _default(component: ComponentSpec, name: str, value: ParameterValue) -> ParameterValue:
@@ -107,31 +124,47 @@ def _file_changed(before: Specification, after: Specification, role: str, name: 
     return old.component == new.component or not same_value(old.parameters.get(name), new.parameters.get(name))
 
 
-def of_change(change: Change, values: Mapping[str, Values], *, keep: bool = True) -> tuple[RuntimeValue, ...]:
+def of_change(
+    change: Change,
+    values: Mapping[str, Values],
+    *,
+    keep: bool = True,
+    unknown: Mapping[str, Collection[str]] | None = None,
+) -> tuple[RuntimeValue, ...]:
     """What becomes of the ``values`` (by role) in a change: those of roles that get a new instance or are set in place.
 
-    Raises PlanRefused as :func:`decide` does.
+    ``unknown``: by role, as in :func:`decide`. Raises PlanRefused as that does.
     """
+    unsure = unknown or {}
     concerned = {instance.role: values.get(instance.role, {}) for instance in change.coming}
     for instance, parameters in change.parameters:
         role = change.role_of(instance)
         concerned[role] = {name: value for name, value in values.get(role, {}).items() if name in parameters}
     roles = sorted(role for role in concerned if role in change.specification.nodes)
-    decided = (decide(change.specification, change.target, role, concerned[role], keep=keep) for role in roles)
+    decided = (
+        decide(change.specification, change.target, role, concerned[role], keep=keep, unknown=unsure.get(role, ()))
+        for role in roles
+    )
     return tuple(value for each in decided for value in each)
 
 
-def left_behind(role: str, name: str, value: ParameterValue, component: str) -> RuntimeValue:
+def left_behind(role: str, name: str, value: ParameterValue, component: str, origin: Origin = "set") -> RuntimeValue:
     """The parameter is not declared by the component that replaces the role's."""
-    return runtime_value(role, name, value, "left_behind", f"not declared by {component}, left behind")
+    return runtime_value(role, name, value, "left_behind", _left_behind(component), origin)
 
 
-def _lost(role: str, name: str, value: ParameterValue, component: str, instead: str) -> RuntimeValue:
-    words = f"lost: {component} does not use Midstride's API, and starts with {instead}"
-    return runtime_value(role, name, value, "lost", words)
+def _left_behind(component: str) -> str:
+    return f"not declared by {component}, left behind"
 
 
-def runtime_value(role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str) -> RuntimeValue:
+def _lost(component: str, instead: str) -> str:
+    return f"lost: {component} runs behind a relay, and starts with {instead}"
+
+
+def runtime_value(
+    role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str, origin: Origin = "set"
+) -> RuntimeValue:
     """What becomes of one value; ``fate_words`` is the same for people."""
-    words = f"{role}: {name} = {value!r}, set at run time: {fate_words}"
-    return RuntimeValue(node=role, parameter=name, value=json_value(value), fate=fate, words=words)
+    set_by = "set at run time" if origin == "set" else "set at run time by a ROS tool, or by the node itself"
+    words = f"{role}: {name} = {value!r}, {set_by}: {fate_words}"
+    return RuntimeValue(node=role, parameter=name, value=json_value(value), fate=fate, origin=origin, words=words)

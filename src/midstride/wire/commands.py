@@ -250,11 +250,13 @@ class SetParametersCommand(Command[PreviousParameters], frozen=True, kw_only=Tru
     """Set changeable parameters, all of them or none.
 
     ``declared``: the values with which it counts as started from now on, by default those of ``parameters``. A
-    parameter that has another one counts as set while the component ran.
+    parameter that has another one counts as set while the component ran. ``unknown_origin``: those of ``parameters``
+    that a ROS tool had set on the predecessor, or that node itself.
     """
 
     parameters: dict[str, Any]
     declared: dict[str, Any] | None = None
+    unknown_origin: list[str] = []
 
 
 class ImportStateCommand(Command[Done], frozen=True, kw_only=True, tag="import_state"):

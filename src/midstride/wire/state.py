@@ -136,8 +136,9 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
     with the value that it was started with. ``keeps_state``: it exports state for its replacement. ``host``: the name
     of the computer or container that its process runs on, empty where that is not known. ``unread_parameters``: whether
-    any were set while it ran is not known, as its parameter services do not answer. ``unfinished``: in which way its
-    `on_stop` has failed, once it ends.
+    any were set while it ran is not known, as its parameter services do not answer. ``unknown_origin``: those of
+    ``declared`` that a ROS tool has set, or the node itself. ``unfinished``: in which way its `on_stop` has failed,
+    once it ends.
     """
 
     instance: str
@@ -166,6 +167,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     unanswered: float | None = None
     host: str = ""
     unread_parameters: bool = False
+    unknown_origin: list[str] = []
     unfinished: str | None = None
 
     def set_values(self) -> dict[str, Any]:

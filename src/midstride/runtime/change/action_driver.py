@@ -180,8 +180,7 @@ class ActionDriver:
         if instance.component.once and self.rolling_back:
             return False
         standby, topics = self.system.has_instance(instance.role), self._topics(instance)
-        if instance.component.has_lifecycle:
-            await self.change.parameters.ask(instance)
+        await self.change.parameters.ask(instance)
         start_values = self.change.parameters.start_values
         others = [each.name for each in self.configuration.instances_of(instance.role) if each.name != instance.name]
         predecessor = others[0] if others and not self.system.life.is_gone(others[0]) else ""

@@ -118,6 +118,7 @@ class ChangeSession:
         """
         system = self.system
         values = system.values.by_role(system.configuration)
+        unknown = system.values.unknown_by_role(system.configuration)
         instances, nodes = system.configuration.instances.items(), system.specification.nodes
         request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
         measured = dict(self.journal.estimates)
@@ -125,7 +126,7 @@ class ChangeSession:
         away = [role for role in system.crashes if not system.has_instance(role)]
         away = [role for role in away if request.stays_away(role, system.specification)]
         plan, target = await asyncio.to_thread(
-            _plan, request, system.specification, system.configuration, values, measured, orders, away
+            _plan, request, system.specification, system.configuration, values, measured, orders, away, unknown
         )
         require_arbiters(plan)
         await require_unmanaged(plan, self.client)
@@ -135,7 +136,7 @@ class ChangeSession:
             unread_parameters(plan.change.instance(old), None if latest is None else latest.state)
             for old, latest in asked
         ]
-        unknown = filter(None, unread)
+        not_known = filter(None, unread)
         others = ending_nodes(plan, self.others.look())
         if not request.with_other_nodes and (refused := would_end_others(others)) is not None:
             raise PlanRefused(refused)
@@ -143,7 +144,7 @@ class ChangeSession:
             *lost_endpoints(plan, system.life.latest_states, self._endpoints()),
             *nodes_that_will_end(plan, others),
         )
-        return replace(plan, remarks=(*remarks, *left, *unknown, *plan.remarks), besides=besides), target
+        return replace(plan, remarks=(*remarks, *left, *not_known, *plan.remarks), besides=besides), target
 
     def ends_others(self, plan: Plan) -> str | None:
         """Why ``plan`` is refused, unless the other nodes that it ends are meant; None if there are none."""
@@ -492,10 +493,11 @@ def _plan(
     measured: Mapping[str, Estimate],
     orders: Sequence[Order] = (),
     away: Collection[str] = (),
+    unknown: Mapping[str, Collection[str]] | None = None,
 ) -> tuple[Plan, Specification]:
     """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first.
 
-    The roles ``away`` do not run, and the plan leaves them so.
+    The roles ``away`` do not run, and the plan leaves them so. ``unknown``: by role, the parameters of unknown origin.
     """
     target, keep = request.target(specification), not request.declared_parameters
     if request.restore:
@@ -508,7 +510,7 @@ def _plan(
     else:
         change = change_between(configuration, specification, planned, measured, request.renewed(planned), away)
     plan = planner(request.strategy, detours=request.detours)(change)
-    parameters = of_change(plan.change, values, keep=keep)
+    parameters = of_change(plan.change, values, keep=keep, unknown=unknown)
     doubt = sensitivity(plan)
     return replace(
         plan, parameters=parameters, remarks=plan.remarks if doubt is None else (*plan.remarks, doubt)

@@ -6,6 +6,7 @@ before the cut and when the old one ends: any ROS tool may set a parameter meanw
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,7 +16,7 @@ from midstride.errors import CommandRefused, MidstrideError, PlanRefused, StepFa
 from midstride.model.component import ROS_PARAMETERS, ParameterValue, same_value
 from midstride.model.configuration import Configuration, Instance
 from midstride.plan.change import Change
-from midstride.plan.runtime_values import RuntimeValue, Values, decide, left_behind, runtime_value
+from midstride.plan.runtime_values import Origin, RuntimeValue, Values, decide, left_behind, runtime_value
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.reported_values import ReportedValues
 from midstride.wire.commands import SetParametersCommand
@@ -25,14 +26,14 @@ from midstride.wire.state import ComponentState
 def unread_parameters(instance: Instance, state: ComponentState | None) -> str | None:
     """That it is not known what was set on ``instance`` while it ran; None where that is known, or does not matter."""
     if instance.component.gate == "relay":
-        why = "it is behind a relay"
+        when, why = "while it ran", "it is behind a relay"
+    elif state is not None and state.unread_parameters and not state.parameters:
+        when, why = "while it ran", "its parameter services do not answer"
     elif state is not None and state.unread_parameters:
-        why = "its parameter services do not answer"
+        when, why = "since it last said its parameters", "its parameter services do not answer"
     else:
         return None
-    return (
-        f"whether parameters of {instance.name} were set while it ran is not known, since {why}; what was set is lost"
-    )
+    return f"whether parameters of {instance.name} were set {when} is not known, since {why}; what was set is lost"
 
 
 @dataclass
@@ -77,8 +78,9 @@ class ParameterTransfer:
     # -- a new instance ----------------------------------------------------------------------------
 
     async def ask(self, instance: Instance) -> None:
-        """Have the predecessor of ``instance`` say its values, which it does not report at once."""
-        if (old := self._predecessors.get(instance.name)) is not None:
+        """Have the predecessor of ``instance`` say its values, if it does not report them at once."""
+        old = self._predecessors.get(instance.name)
+        if old is not None and not self.change.component_of(old).has_agent:
             await self._observe(old)
 
     def start_values(self, instance: Instance) -> dict[str, Any]:
@@ -90,22 +92,29 @@ class ParameterTransfer:
             return dict(self.reported.of(instance.name))
         old = self._predecessors.get(instance.name)
         values = self.reported.saved.get(instance.role, {}) if old is None else self.reported.of(old)
+        unknown = self._unknown(instance, values)
         if old is not None:
             self._carried[old] = values
-        self._given[instance.name] = given = self._kept(instance, values)
+        self._given[instance.name] = given = self._kept(instance, values, unknown)
         return given
+
+    def _unknown(self, instance: Instance, values: Collection[str]) -> Collection[str]:
+        """Of the ``values`` that ``instance`` starts with, those of unknown origin; after a crash, that is not kept."""
+        if (old := self._predecessors.get(instance.name)) is not None:
+            return self.reported.unknown_of(old)
+        return values if instance.component.gate is not None else ()
 
     def _returns(self, instance: Instance) -> bool:
         """Whether it ran at the start: it is started again, or goes on, in a roll-back."""
         return instance.name in self.change.start.instances
 
-    def _kept(self, instance: Instance, values: Values) -> dict[str, Any]:
+    def _kept(self, instance: Instance, values: Values, unknown: Collection[str] = ()) -> dict[str, Any]:
         """Those of ``values``, of its predecessor, that ``instance`` is to have; what becomes of each is recorded."""
         before, after = self.change.specification, self.change.target
         if instance.role not in before.nodes:
             return {}
         try:
-            decided = decide(before, after, instance.role, values, keep=self.keep)
+            decided = decide(before, after, instance.role, values, keep=self.keep, unknown=unknown)
         except PlanRefused as error:
             raise StepFailed(str(error)) from error
         self._record(*decided)
@@ -115,9 +124,10 @@ class ParameterTransfer:
         """Have a new instance accept the values that it was started with. Raises StepFailed with its reason."""
         old, given = self._predecessors.get(instance.name), self._given.get(instance.name, {})
         now = given if old is None else self.reported.of(old)
+        unknown = self._unknown(instance, given)
         for name, value in given.items():
             if name in now and same_value(now[name], value):
-                await self._set(instance, name, value)
+                await self._set(instance, name, value, unknown)
         if old is not None:
             await self._compare(old, instance)
         self._carried[instance.name] = self.reported.of(instance.name)
@@ -128,19 +138,30 @@ class ParameterTransfer:
             with suppress(MidstrideError):
                 self.reported.report(await self.client.peek(instance))
 
-    async def _set(self, instance: Instance, name: str, value: ParameterValue) -> None:
-        """One value, so that a refusal is about it. Raises StepFailed, or BackendError."""
-        if name not in ROS_PARAMETERS and name not in (await self.client.peek(instance.name)).parameters:
+    async def _set(self, instance: Instance, name: str, value: ParameterValue, unknown: Collection[str] = ()) -> None:
+        """One value, so that a refusal is about it. Raises StepFailed, or BackendError.
+
+        That the new one refuses what the old node itself may have set (``unknown``) is no failure. One that does not
+        say which parameters it has was started with the value.
+        """
+        origin: Origin = "unknown" if name in unknown else "set"
+        state = await self.client.peek(instance.name)
+        if state.unread_parameters and name in self._given.get(instance.name, {}):
+            return
+        if name not in ROS_PARAMETERS and name not in state.parameters and not state.unread_parameters:
             if instance.name in self.change.stand_ins:
                 return
-            self._record(left_behind(instance.role, name, value, instance.component.name))
+            self._record(left_behind(instance.role, name, value, instance.component.name, origin))
             return
+        command = SetParametersCommand(
+            parameters=json_values({name: value}), declared={}, unknown_origin=[name] if origin == "unknown" else []
+        )
         try:
-            await self.client.change(
-                instance.name, SetParametersCommand(parameters=json_values({name: value}), declared={})
-            )
+            await self.client.change(instance.name, command)
         except CommandRefused as error:
-            raise StepFailed(f"{name} = {value!r}, set at run time: {error}") from error
+            if origin == "set":
+                raise StepFailed(f"{name} = {value!r}, set at run time: {error}") from error
+            self._record(runtime_value(instance.role, name, value, "refused", f"not kept: {error}", origin))
 
     # -- what is set later -------------------------------------------------------------------------
 
@@ -179,14 +200,16 @@ class ParameterTransfer:
         back = before.keys() - now.keys()  # set back to the declared value: so is the new one's
         for name in (*changed, *back):
             self._found.pop((new.role, name), None)
-        values = changed if self._returns(new) else self._kept(new, changed)
+        unknown = self.reported.unknown_of(old)
+        values = changed if self._returns(new) else self._kept(new, changed, unknown)
         state = await self.client.peek(new.name)
         values |= {name: from_json(state.declared[name]) for name in back if name in state.declared}
         for name, value in values.items():
             try:
-                await self._set(new, name, value)
+                await self._set(new, name, value, unknown)
             except MidstrideError as error:
                 if not late:
                     raise
-                self._record(runtime_value(new.role, name, value, "late", f"too late, after the hand-over: {error}"))
+                words, origin = f"too late, after the hand-over: {error}", "unknown" if name in unknown else "set"
+                self._record(runtime_value(new.role, name, value, "late", words, origin))
         self._carried[new.name] = self.reported.of(new.name)

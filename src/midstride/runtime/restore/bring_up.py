@@ -110,7 +110,9 @@ class BringUp:
             if role in target.nodes:
                 target = target.without_node(role)
         change = change_between(self.system.configuration, running, target)
-        parameters = of_change(change, self.system.values.by_role(self.system.configuration))
+        values, configuration = self.system.values, self.system.configuration
+        unknown = values.unknown_by_role(configuration)
+        parameters = of_change(change, values.by_role(configuration), unknown=unknown)
         if specification == running and not (change.instances() or change.parameters or change.renamed):
             # Nothing but modes differs: what the local reflex has degraded waits until its input is back.
             plan = restore(self.system.configuration, running, self.restorer.improved(change.pending), {})

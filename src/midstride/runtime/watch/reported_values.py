@@ -6,7 +6,7 @@ the state store, to the next manager (docs/protocols/state.md).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from midstride.model.configuration import Configuration
@@ -22,16 +22,30 @@ class ReportedValues:
 
     saved: dict[str, Values] = field(default_factory=dict)
     _of_instance: dict[str, Values] = field(default_factory=dict)
+    _unknown: dict[str, Collection[str]] = field(default_factory=dict)  # by instance
 
     def report(self, state: ComponentState) -> bool:
         """A component has reported its state; whether its values are others than before."""
         before = self._of_instance.get(state.instance, _NONE)
+        self._unknown[state.instance] = frozenset(state.unknown_origin)
         self._of_instance[state.instance] = after = state.set_values()
         return before != after
 
     def of(self, instance: str) -> Values:
         """The last known values of an instance, also if it has ended meanwhile."""
         return self._of_instance.get(instance, _NONE)
+
+    def unknown_of(self, instance: str) -> Collection[str]:
+        """The parameters of an instance of which it is not known whether a tool has set them, or the node itself."""
+        return self._unknown.get(instance, ())
+
+    def unknown_by_role(self, configuration: Configuration) -> dict[str, Collection[str]]:
+        """The same for the live instance of each role."""
+        return {
+            role: self.unknown_of(next(iter(names)))
+            for role, names in configuration.instances_by_role.items()
+            if len(names) == 1
+        }
 
     def by_role(self, configuration: Configuration) -> dict[str, Values]:
         """The values of each role: of its live instance, else those of the one that has exited."""
@@ -54,3 +68,4 @@ class ReportedValues:
         self._of_instance = {
             name: values for name, values in self._of_instance.items() if name in configuration.instances
         }
+        self._unknown = {name: names for name, names in self._unknown.items() if name in configuration.instances}
