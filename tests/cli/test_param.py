@@ -10,6 +10,7 @@ from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from immutables import Map
 
@@ -18,6 +19,7 @@ from midstride.cli.commands import param
 from midstride.cli.running_systems import not_running
 from midstride.lang import load_text
 from midstride.model.component import ParameterSection
+from midstride.runtime.records.status_forms import ParametersReport, ParameterStatus
 from tests.cli.conftest import Midstride, running
 from tests.cli.statuses import component, crash, status
 
@@ -281,6 +283,10 @@ def test_values_that_are_stated_and_not_reported_are_listed(monkeypatch: pytest.
 
         def specification(self) -> Any:
             return specification
+
+        def parameters(self, node: str | None = None) -> Any:
+            found = msgspec.convert(reported, list[ParameterStatus])
+            return [ParametersReport("base_2", found)]
 
     monkeypatch.setattr(param, "find", lambda _: (Stated(), None))
     assert run("param", "list")[:2] == (

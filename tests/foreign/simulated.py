@@ -38,6 +38,7 @@ class SimulatedNode:
 
     ``refuses`` and ``hangs`` have transitions; ``rejects``: by parameter, why it cannot be set. ``ends_on``: the signal
     on which its process ends; on None of them, it has to be killed. ``slow``: how long a transition takes besides (s).
+    ``lacks``: the parameters that it does not declare; ``forgets``: it has set what it was asked to, and hangs then.
     """
 
     instance: str
@@ -50,6 +51,8 @@ class SimulatedNode:
     hung: bool = False
     slow: dict[str, float] = field(default_factory=dict)
     ends_on: str | None = "SIGINT"
+    lacks: set[str] = field(default_factory=set)
+    forgets: bool = False
     closed: bool = False
 
     def close(self) -> None:
@@ -86,7 +89,12 @@ class SimulatedNode:
         await self._answers(timeout)
         if refused := [self.rejects[name] for name in values if name in self.rejects]:
             return refused[0]
+        if undeclared := [name for name in values if name not in self.values]:
+            return f"parameter {undeclared[0]} is not declared"
         self.values |= values
+        if self.forgets:
+            self.hung = True
+            await self._answers(timeout)
         self.events.append(f"{self.instance} set {' '.join(f'{name}={value}' for name, value in values.items())}")
         return None
 
@@ -139,7 +147,8 @@ class SimulatedRos(Simulator):
             return await super().start(launch)
         behaviour = self._behaviour.get(launch.foreign.name, {})
         node = self.nodes[launch.instance] = SimulatedNode(launch.instance, self.events, **behaviour)
-        node.values = {"own": 1.5, **node.values, **launch.parameters, **launch.set_parameters}
+        values = {"own": 1.5, **node.values, **launch.parameters, **launch.set_parameters}
+        node.values = {name: value for name, value in values.items() if name not in node.lacks}
         handle = Handle(launch.instance, None, self.time.steady())
         try:
             _, record = await self._foreign.prepare(

@@ -15,7 +15,6 @@ from midstride.model.specification_checks import check, errors
 from midstride.plan.request import PlanRequest
 from midstride.plan.specification_diff import differences
 from midstride.runtime.manager import Manager
-from midstride.runtime.records.status_forms import ParameterStatus, Status
 from midstride.simulation.stand_in import with_stand_ins
 from tests.foreign.simulated import SimulatedRos, managed
 
@@ -157,37 +156,3 @@ def test_a_mode_that_is_not_entered_leaves_the_parameters_of_the_one_before(tmp_
     text = TEXT.replace(f"{slow}    mode degraded {{ }}", "    mode degraded { parameters { gain = 1 } }")
     text = text.replace("GATE", "lifecycle")
     managed(tmp_path, text, body, {"Driver": {"refuses": {"deactivate"}}})
-
-
-@pytest.mark.parametrize("is_known", [True, False])
-def test_what_was_set_on_a_node_without_the_api_is_lost_and_that_is_said(tmp_path: Path, is_known: bool) -> None:
-    """Plan and report say it; of a node whose parameter services do not answer, they say that it is not known."""
-    text = TEXT.replace("GATE", "none").replace("gain = 2,", "gain = 2, rate = 1.0,")
-    unknown = "whether parameters of driver were set while it ran is not known"
-
-    async def body(manager: Manager, simulator: SimulatedRos) -> None:
-        driver = simulator.nodes["driver"]
-        await simulator.time.sleep(5)
-        assert not any(each.set_at_run_time for each in of_driver(await manager.status()))
-        driver.values["rate"] = 7.0
-        driver.hung = not is_known
-        await simulator.time.sleep(5)
-        request = PlanRequest(restart=("driver",), strategy="paper")
-        plan = await manager.plan(request)
-        outcome = await manager.change(request)
-        assert (outcome.outcome, outcome.because) == ("done", None)
-        assert simulator.nodes["driver_2"].values["rate"] == 1.0
-        if is_known:
-            lost = "driver: rate = 7.0, set at run time: lost: Driver does not use Midstride's API, and starts with 1.0"
-            assert [each.words for each in plan.parameters] == [each.words for each in outcome.parameters] == [lost]
-            assert not any(unknown in remark for remark in plan.remarks) and outcome.own_state == {}
-        else:
-            assert any(remark.startswith(unknown) for remark in plan.remarks)
-            assert outcome.own_state["driver_2"].startswith(unknown)
-            assert plan.parameters == () and outcome.parameters == []
-
-    managed(tmp_path, text, body)
-
-
-def of_driver(status: Status) -> list[ParameterStatus]:
-    return next(each.parameters for each in status.instances if each.name == "driver")

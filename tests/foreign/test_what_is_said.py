@@ -11,10 +11,11 @@ import pytest
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.lifecycle_transitions import INACTIVE
 from midstride.foreign.replaced_node import lacks
+from midstride.model.component import StopTimes
 from midstride.model.contract import QoS
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.runtime.manager import Manager
 from midstride.verdicts import EXIT_STATUS, Assessments
 from tests.foreign import simulated
@@ -189,11 +190,19 @@ def test_the_old_node_stays_where_the_new_program_ends_at_once(
     simulated.managed(tmp_path, DRIVER, body)
 
 
+class BrokenLate(SimulatedRos):
+    """The program of the second instance ends while that of the first is being ended."""
+
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        if instance == "driver" and "driver_2" in self.nodes:
+            self.die("driver_2")
+        return await super().end(instance, stop)
+
+
 def test_a_new_program_that_ends_while_the_old_one_is_ended_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(simulated, "SimulatedRos", Broken)
-    monkeypatch.setattr(Broken, "after", 0.004)
+    monkeypatch.setattr(simulated, "SimulatedRos", BrokenLate)
 
     async def body(manager: Manager, _: SimulatedRos) -> None:
         found = said((await manager.change(RESTART)).continuity)

@@ -231,9 +231,9 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
     ),
     (
         "E027",
-        [(RUN, "t"), ("/components/Talker/gate", "preload")],
+        [(RUN, "t"), ("/components/Talker/gate", "relay")],
         "/components/Talker/parameters/volume",
-        "parameter volume of Talker cannot be set in place: Talker does not use Midstride's API",
+        "parameter volume of Talker cannot be set in place: Talker runs behind a relay",
     ),
     (
         "E027",

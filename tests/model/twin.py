@@ -254,6 +254,8 @@ def allowed(s: State, action: Action) -> bool:
     assert isinstance(action, SetParameters)
     if action.instance not in s.live:
         return False
+    if action.before is not None:
+        return True
     declared = s.live[action.instance].get("parameters", {})
     for name, value in action.parameters.items():
         if name not in declared or not declared[name].get("changeable"):
@@ -320,7 +322,7 @@ def effect(s: State, action: Action) -> State:
     elif isinstance(action, Handover):
         after.attached -= {(*swap.old, swap.connector) for swap in action.swaps}
         after.attached |= {(*swap.new, swap.connector) for swap in action.swaps}
-    elif isinstance(action, SetParameters):
+    elif isinstance(action, SetParameters) and action.before is None:
         after.parameters[action.instance].update(action.parameters)
     return after
 

@@ -50,7 +50,8 @@ def actions(draw: st.DrawFn, scene: GeneratedSystem, *, kinds: tuple[str, ...] =
             isolated = [name for name in live if not configuration.attached_ports(name)]
             return Remove(draw(st.sampled_from(isolated * 3 + names)))
         case "set":
-            return SetParameters(draw(st.sampled_from(names)), Map([draw(st.sampled_from(_SETTINGS))]))
+            before = draw(st.sampled_from((None, Map(gain=0.1))))
+            return SetParameters(draw(st.sampled_from(names)), Map([draw(st.sampled_from(_SETTINGS))]), before)
         case "degrade":
             return Degrade(Map(_moved(draw, configuration, better=False)))
         case "upgrade":

@@ -131,6 +131,8 @@ declare namespace Api {
     add?: NewNode[];
     /** nodes to remove */
     remove?: string[];
+    /** values to set at run time, by node and parameter, and nothing else */
+    parameters?: Record<string, Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>>;
     to?: SpecificationForm | null;
     /** components that the specification does not have yet */
     components?: NamedComponentForm[];
@@ -819,7 +821,7 @@ declare namespace Api {
     despite_requirements?: boolean;
   }
 
-  /** A parameter of a component. Where it was set at run time, `declared` is the value that it was started with. */
+  /** A parameter of a component. Where it was set at run time, `declared` is the value that it was started with. `origin`: `unknown` where a ROS tool has set it, or the node itself; absent otherwise. */
   interface ParameterStatus {
     name: string;
     /** the value of a parameter; a list is of one kind */
@@ -827,12 +829,14 @@ declare namespace Api {
     /** the value of a parameter; a list is of one kind */
     declared: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
     set_at_run_time: boolean;
+    origin?: "unknown";
   }
 
-  /** The parameters that were set, as the instance has them now. */
+  /** Parameters of an instance, as it has them now. `unread`: why its node has not said them; `parameters` are then those that it said last. Absent if it has. */
   interface ParametersReport {
     instance: string;
     parameters: ParameterStatus[];
+    unread?: string;
   }
 
   /** A change that this manager has carried out, or carries out. */
@@ -1182,13 +1186,16 @@ declare namespace Api {
     seconds?: number;
   }
 
-  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `lost`: the new program does not use Midstride's API, and starts without it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. */
+  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `lost`: the new program runs behind a relay, and starts without it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. `refused`: the new node, which does not use Midstride's API, refused it. Of a change that sets parameters: `set`: the node has the value. `set_back`: the change was rolled back, and the node had the value for `seconds`; `not_set_back`: it has it still. `not_set`: it has not accepted it. `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known to have been set: a ROS tool has set it, or the node itself. */
   interface RuntimeValue {
     node: string;
     parameter: string;
     /** the value of a parameter; a list is of one kind */
     value: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
-    fate: "file_wins" | "kept" | "late" | "left_behind" | "lost" | "not_kept";
+    fate: "file_wins" | "kept" | "late" | "left_behind" | "lost" | "not_kept" | "not_set" | "not_set_back" | "refused" | "set" | "set_back";
+    origin: "set" | "unknown";
+    /** at most so long */
+    seconds?: number;
     /** the same for people */
     words: string;
   }
@@ -1210,12 +1217,13 @@ declare namespace Api {
     phase: "down" | "failed" | "starting" | "up";
   }
 
-  /** Parameters of a live instance are set in place. */
+  /** Parameters of a live instance are set in place: `before` has the values it has, if they are set at run time. */
   interface SetStep {
     action: "set";
     instance: string;
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     seconds: number;
+    before?: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     /** the shortest and the longest that were measured (s) */
     between?: [number, number];
   }

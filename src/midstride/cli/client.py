@@ -110,6 +110,12 @@ class Client:
 
         return self._form(Why, "GET", _with_query("/why", {"functionality": functionality}))
 
+    def parameters(self, node: str | None = None) -> list[ParametersReport]:
+        """The parameters of a role or an instance, or of all, as the nodes say them now."""
+        from midstride.runtime.records.status_forms import ParametersReport
+
+        return self._form(list[ParametersReport], "GET", _with_query("/parameters", {"node": node}))
+
     def set_parameters(
         self,
         node: str,

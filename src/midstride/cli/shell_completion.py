@@ -148,6 +148,17 @@ def parameters(context: click.Context, _: str) -> Iterable[str]:
 
 
 @_completer
+def settings(context: click.Context, _: str) -> Iterable[str]:
+    """``NODE NAME``, or ``NODE.NAME=`` for several: of the running nodes and their parameters."""
+    words, instances = context.params.get("words") or (), _ask(context, "/view")["instances"]
+    if words and "=" not in words[0]:
+        named = [each for each in instances if words[0] in (each["name"], each["role"])] if len(words) == 1 else []
+        return [parameter["name"] for each in named for parameter in each["parameters"]]
+    several = [f"{each['role']}.{parameter['name']}=" for each in instances for parameter in each["parameters"]]
+    return several if words else [*_system(context)["nodes"], *several]
+
+
+@_completer
 def attachments(context: click.Context, _: str) -> Iterable[str]:
     """``PORT=TOPIC`` for the component that the line names."""
     component = _components(context)[context.params["component"]]

@@ -396,12 +396,17 @@ def _swap_reasons(configuration: Configuration, swap: Swap) -> Iterator[Reason]:
 
 @dataclass(frozen=True, slots=True)
 class SetParameters(Action):
-    """``set``: changeable parameters of a live component, in place; it affects nothing else (section 6)."""
+    """``set``: parameters of a live component, in place; it affects nothing else (section 6).
+
+    They are changeable, and the values are the specification's. With ``before``, the values that the node has, they are
+    set at run time: the specification stays as it is, and the node accepts them or not.
+    """
 
     kind: ClassVar[str] = "set"
     is_structural: ClassVar[bool] = False
     instance: str
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
+    before: Map[str, ParameterValue] | None = None
 
     def instances(self) -> tuple[str, ...]:
         return (self.instance,)
@@ -410,6 +415,8 @@ class SetParameters(Action):
         instance = configuration.instances.get(self.instance)
         if instance is None:
             return (Reason("live", (self.instance,), f"{self.instance} is not live"),)
+        if self.before is not None:
+            return ()
         reasons = []
         for name, value in sorted(self.parameters.items()):
             declared, subjects = instance.component.parameters.get(name), (f"{self.instance}.{name}",)
@@ -424,9 +431,13 @@ class SetParameters(Action):
         return tuple(reasons)
 
     def effect(self, configuration: Configuration) -> Configuration:
+        if self.before is not None:
+            return configuration
         return configuration.with_parameters(self.instance, self.parameters)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
+        if self.before is not None:
+            return (SetParameters(self.instance, self.before, self.parameters),)
         old = {name: before.instances[self.instance].parameters[name] for name in self.parameters}
         return (SetParameters(self.instance, Map(old)),)
 

@@ -109,7 +109,7 @@ class Change:
             found = Estimate.exactly(timing.get(kind, DEFAULT_SECONDS[kind]))
         if kind == "remove" and component is not None and component.stop is not None:
             return found.at_most(component.stop.longest)
-        return found.plus(handover_seconds(timing, "watch_after")) if kind == "handover" else found
+        return found.plus(handover_seconds(timing, "watch_after")) if kind in ("handover", "set") else found
 
     def estimate_of(self, action: Action) -> Estimate:
         """How long ``action`` takes."""

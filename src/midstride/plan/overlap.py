@@ -2,9 +2,9 @@
 
 The steps keep the order of the plan. What overlaps: a process starts as soon as everything is done that its ``create``
 step must wait for; and steps next to each other are carried out at once, in a round, if they are all removals, all
-attachments, all mode changes, all hand-overs or all programs that end, which do not start before their step. The
-hand-overs of a round are prepared and watched at once, and their cuts follow one another. How long the plan takes
-follows from that.
+attachments, all mode changes, all settings of parameters, all hand-overs or all programs that end, which do not start
+before their step. The hand-overs of a round are prepared and watched at once, and their cuts follow one another. How
+long the plan takes follows from that.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from midstride.model.action import Action, Attach, Create, Degrade, Handover, Remove, Upgrade
+from midstride.model.action import Action, Attach, Create, Degrade, Handover, Remove, SetParameters, Upgrade
 from midstride.plan.disruption import DIGITS
 from midstride.plan.estimate import Estimate
 from midstride.plan.plan import Plan
@@ -120,7 +120,7 @@ class _Neighbours:
             return False
         if kind == "attachments":
             return not self._waits_for_peer(earlier, index)
-        return kind == "mode changes" or self._is_independent(earlier, index)
+        return kind in ("mode changes", "settings") or self._is_independent(earlier, index)
 
     def _kind(self, index: int) -> str | None:
         """The kind of the rounds that a step may be in; None if it is always alone."""
@@ -136,6 +136,8 @@ class _Neighbours:
                 return "mode changes"
             case Degrade() if not any(shift.after > shift.before for shift in shifts):
                 return "mode changes"  # else what falls would have fallen for as long as the slowest beside it takes
+            case SetParameters():
+                return "settings"
             case Handover() if not shifts:
                 return "handovers"  # else what rises by it would wait for the slowest beside it
         return None

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from immutables import Map
+
 from midstride.errors import PlanRefused
-from midstride.model.component import ComponentSpec, FunctionalityRef
+from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue
 from midstride.model.diagnostics import Problem, suggestion, unknown_name
 from midstride.model.name_checks import missing_for_constraints
 from midstride.model.specification import Node, Specification
@@ -23,7 +25,8 @@ class PlanRequest:
     ``with_other_nodes``: nodes that the change does not name, and that end with a process that it ends, are meant too.
     ``detours``: the strategy ``minimal`` also tries to move nodes that stay, and stand-ins.
     ``explain``: a plan that is only shown says what it would cost to keep what it degrades.
-    ``restore``: only raise these functionalities of instances, to these modes.
+    ``restore``: only raise these functionalities of instances, to these modes. ``parameters``: only set these values at
+    run time, by role.
     """
 
     replace: tuple[tuple[str, str], ...] = ()
@@ -37,18 +40,25 @@ class PlanRequest:
     declared_parameters: bool = False
     with_other_nodes: bool = False
     restore: tuple[tuple[FunctionalityRef, int], ...] = ()
+    parameters: tuple[tuple[str, Map[str, ParameterValue]], ...] = ()
     explain: bool = False
 
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""
         if self.to is not None:
-            if self.replace or self.add or self.remove:
+            if self.replace or self.add or self.remove or self.parameters:
                 raise PlanRefused("give either a whole specification or single changes, not both")
             _well_formed(check(self.to))
             for role in self.restart:
                 require("node", role, self.to.nodes)
             return self.to
         if self.restore:
+            return specification
+        if self.parameters:
+            if self.roles():
+                raise PlanRefused("parameters are set in a change of their own; give the other changes separately")
+            for role, _ in self.parameters:
+                require("node", role, specification.nodes)
             return specification
         if not self.roles():
             raise PlanRefused(
@@ -99,6 +109,7 @@ class PlanRequest:
             replace=tuple((role(name), component) for name, component in self.replace),
             restart=tuple(map(role, self.restart)),
             remove=tuple(map(role, self.remove)),
+            parameters=tuple((role(name), values) for name, values in self.parameters),
         )
 
     def roles(self) -> list[str]:
@@ -143,6 +154,11 @@ class PlanRequest:
         words += [f"add {node.role} ({node.component})" for node in self.add]
         if self.to is not None:
             words.append(f"apply {self.to.name}")
+        settings = [
+            f"{role}.{name} = {value!r}" for role, values in self.parameters for name, value in sorted(values.items())
+        ]
+        if settings:
+            words.append(f"set {', '.join(settings)}")
         if self.restore:
             words.append(f"restore {', '.join(str(ref) for ref, _ in self.restore)}")
         return ", ".join(words) or "nothing"

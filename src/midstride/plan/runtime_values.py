@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
+from msgspec import UNSET, UnsetType
+
 from midstride.codec.form import Form, field
 from midstride.codec.parameter import ValueForm, json_value
 from midstride.errors import PlanRefused
@@ -24,7 +26,19 @@ from midstride.model.specification import Specification
 from midstride.plan.change import Change
 
 Values: TypeAlias = Mapping[str, ParameterValue]
-Fate: TypeAlias = Literal["kept", "file_wins", "left_behind", "not_kept", "late", "lost", "refused"]
+Fate: TypeAlias = Literal[
+    "kept",
+    "file_wins",
+    "left_behind",
+    "not_kept",
+    "late",
+    "lost",
+    "refused",
+    "set",
+    "set_back",
+    "not_set",
+    "not_set_back",
+]
 Origin: TypeAlias = Literal["set", "unknown"]
 
 
@@ -35,6 +49,9 @@ class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_
     specification changed the value as well. `left_behind`: the new component does not declare the parameter.
     `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had
     taken over, and the new one refused it. `refused`: the new node, which does not use Midstride's API, refused it.
+
+    Of a change that sets parameters: `set`: the node has the value. `set_back`: the change was rolled back, and the
+    node had the value for `seconds`; `not_set_back`: it has it still. `not_set`: it has not accepted it.
 
     `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known
     to have been set: a ROS tool has set it, or the node itself.
@@ -47,6 +64,7 @@ class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_
     value: ValueForm
     fate: Fate
     origin: Origin = "set"
+    seconds: Annotated[float, field("a number of seconds", "at most so long")] | UnsetType = UNSET
     words: Annotated[str, field("a text", "the same for people")]
 
 
@@ -159,6 +177,15 @@ def _left_behind(component: str) -> str:
 
 def _lost(component: str, instead: str) -> str:
     return f"lost: {component} runs behind a relay, and starts with {instead}"
+
+
+def setting(
+    role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str, seconds: float | UnsetType = UNSET
+) -> RuntimeValue:
+    """What becomes of a value that a change sets."""
+    words = f"{role}: {name} = {value!r}: {fate_words}"
+    form = json_value(value)
+    return RuntimeValue(node=role, parameter=name, value=form, fate=fate, seconds=seconds, words=words)
 
 
 def runtime_value(

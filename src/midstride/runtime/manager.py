@@ -16,6 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from msgspec import UNSET, UnsetType
+
 from midstride.codec.configuration_form import ConfigurationForm
 from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, ChangeForbidden, ManagerError, MidstrideError
@@ -179,6 +181,7 @@ class Manager:
                 if saved is None and not self.system.life.handles:
                     self._store.delete()
                 raise
+            await bring_up.set_back(interrupted)
             if saved is None and lock is not None:
                 self._store.write_lock(self._session.permission.current_lock)
             for change in interrupted:
@@ -280,6 +283,22 @@ class Manager:
     async def peek(self, instance: str) -> ComponentState:
         """The current state of one component, requested from it. Raises CallTimeout or Unreachable."""
         return await self._client.peek(instance)
+
+    async def parameters(self, node: str | None = None) -> list[ParametersReport]:
+        """The parameters of a role or an instance, or of all instances, requested from them.
+
+        Raises PlanRefused for an unknown node, ManagerError for one that does not run or answer; of all instances,
+        those that do not answer are left out.
+        """
+        if node is not None:
+            instance = self.system.live_instance(node)
+            try:
+                return [_parameters_report(await self._client.peek(instance))]
+            except BackendError as error:
+                raise ManagerError(f"the parameters of {instance} are not known: {error}") from None
+        live = [name for name in sorted(self.configuration.instances) if self.system.life.responsive(name) is not None]
+        found = await asyncio.gather(*(self._client.peek(name) for name in live), return_exceptions=True)
+        return [_parameters_report(state) for state in found if isinstance(state, ComponentState)]
 
     async def why(self, functionality: str) -> Why:
         """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
@@ -389,3 +408,10 @@ class Manager:
     def unlock(self, by: str) -> ChangeLock:
         """End the lock, on behalf of ``by``; returns it. Raises ChangeForbidden if there is none."""
         return self._session.permission.unlock(by)
+
+
+def _parameters_report(state: ComponentState) -> ParametersReport:
+    unread: str | UnsetType = UNSET
+    if state.unread_parameters:
+        unread = f"{state.instance} does not say its parameters: the services of its node {state.node} do not answer"
+    return ParametersReport(state.instance, parameters(state), unread)

@@ -177,6 +177,14 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         headers = {"Content-Disposition": 'attachment; filename="change.html"', "X-Content-Type-Options": "nosniff"}
         return HTMLResponse(text, headers=headers)
 
+    @router.get("/parameters", responses=answers(list[ParametersReport]))
+    async def parameters(
+        node: Annotated[str | None, Query(description="a node or an instance; by default all of them")] = None,
+    ) -> Response:
+        """The parameters of running nodes, as the nodes say them now."""
+        lifecycle.require_up()
+        return answer(await manager.parameters(node))
+
     @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:
         """Why a functionality is in the mode it is in."""

@@ -272,6 +272,8 @@ def _parts(form: PlanForm) -> tuple[PlanForm, Specification, Specification]:
     for step in form.steps:
         if isinstance(step, (CreateStep, SetStep)):
             values_of(step.parameters)
+        if isinstance(step, SetStep) and step.before is not UNSET:
+            values_of(step.before)
     return form, form.start.specification(), form.target.specification()
 
 

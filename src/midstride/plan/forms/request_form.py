@@ -7,6 +7,7 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.form import Form, NonEmptyName, field
+from midstride.codec.parameter import ValueForm, values_of
 from midstride.codec.reading import decode, under
 from midstride.codec.specification_form import NodeForm, SpecificationForm
 from midstride.model.diagnostics import Problem
@@ -34,6 +35,10 @@ class ChangeRequest(Form, frozen=True):
     restart: Annotated[list[NonEmptyName], field("a list of nodes", "nodes to restart: each gets a new instance")] = []
     add: Annotated[list[NewNode], field("a list of new nodes", "nodes to add")] = []
     remove: Annotated[list[NonEmptyName], field("a list of nodes", "nodes to remove")] = []
+    parameters: Annotated[
+        dict[NonEmptyName, Annotated[dict[str, ValueForm], field("an object of values", min_length=1)]],
+        field("an object of nodes", "values to set at run time, by node and parameter, and nothing else"),
+    ] = {}
     to: SpecificationForm | None = None
     components: Annotated[
         list[NamedComponentForm], field("a list of components", "components that the specification does not have yet")
@@ -60,6 +65,7 @@ class ChangeRequest(Form, frozen=True):
             restart=tuple(self.restart),
             add=tuple(form.node(form.role) for form in self.add),
             remove=tuple(self.remove),
+            parameters=tuple((node, values_of(values)) for node, values in self.parameters.items()),
             to=None if self.to is None else self.to.specification(),
             components=tuple(form.declared() for form in self.components),
             strategy=self.strategy,

@@ -125,11 +125,12 @@ class HandoverStep(StepForm, frozen=True, tag="handover"):
 
 
 class SetStep(StepForm, frozen=True, tag="set"):
-    """Parameters of a live instance are set in place."""
+    """Parameters of a live instance are set in place: `before` has the values it has, if they are set at run time."""
 
     instance: str
     parameters: dict[str, ValueForm]
     seconds: FiniteNumber
+    before: dict[str, ValueForm] | UnsetType = UNSET
 
 
 AnyStep: TypeAlias = (
@@ -171,7 +172,9 @@ def _form(step: Step) -> AnyStep:
             swaps = [SwapForm(topic=swap.connector, old=str(swap.old), new=str(swap.new)) for swap in action.swaps]
             return HandoverStep(swaps=swaps, seconds=seconds)
         case SetParameters():
-            return SetStep(instance=action.instance, parameters=values_form(action.parameters), seconds=seconds)
+            before = UNSET if action.before is None else values_form(action.before)
+            values = values_form(action.parameters)
+            return SetStep(instance=action.instance, parameters=values, before=before, seconds=seconds)
     raise TypeError(f"a {action.kind} has no JSON form")
 
 
@@ -222,7 +225,8 @@ def _action(change: Change, known: Mapping[str, Instance], form: AnyStep) -> Act
             swaps = (Swap(each.topic, PortRef.parse(each.old), PortRef.parse(each.new)) for each in form.swaps)
             return Handover(tuple(swaps))
         case SetStep():
-            return SetParameters(form.instance, values_of(form.parameters))
+            before = None if form.before is UNSET else values_of(form.before)
+            return SetParameters(form.instance, values_of(form.parameters), before)
 
 
 def _component(change: Change, name: str) -> ComponentSpec:

@@ -38,6 +38,7 @@ from midstride.runtime.change.change_phases import ChangePhase
 from midstride.runtime.change.managed_nodes import require_unmanaged_at_its_end
 from midstride.runtime.change.mode_changes import ModeChanges
 from midstride.runtime.change.running_change import RunningChange
+from midstride.runtime.change.settings_watch import Setting, SettingsWatch
 from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences, StepBudget
 from midstride.runtime.handover.live_handover import LiveHandover
@@ -92,6 +93,7 @@ class ActionDriver:
     _inputs_ready: float = -math.inf  # when those are that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, replies.PreviousParameters] = field(default_factory=dict)  # by instance
+    _settings: dict[str, Setting] = field(default_factory=dict)  # what is set, by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     def __post_init__(self) -> None:
@@ -222,8 +224,10 @@ class ActionDriver:
                 await self.modes.enter(action, because, budget)
             case Handover():
                 await self._hand_over(action, turn)
-            case SetParameters(instance, parameters):
-                await self._set_parameters(instance, dict(parameters))
+            case SetParameters() if self.rolling_back:
+                await self._set_back(action)
+            case SetParameters():
+                await self._set_parameters(action)
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
             # attached to another connector of the same topic.
             case Remove(instance) if not self.system.life.has_exited(instance):
@@ -260,20 +264,80 @@ class ActionDriver:
                 )
                 raise StepFailed(wording.with_log(words, log) if log else words)
 
-    async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
-        """Set parameters to the specification's values; a roll-back restores what was set at run time before."""
-        command = commands.SetParametersCommand(parameters=json_values(declared))
-        before = self._before_setting.get(instance) if self.rolling_back else None
-        if before is not None and before.declared:
-            values = {name: before.before[name] for name in before.declared}
+    async def _set_parameters(self, action: SetParameters) -> None:
+        """Set parameters of an instance: to the specification's values, or at run time."""
+        name, at_run_time, transfer = action.instance, action.before is not None, self.change.parameters
+        instance, values = self.configuration.instances[name], json_values(action.parameters)
+        setting = Setting.begun(self.client, self.system, name, self.configuration)
+        command = commands.SetParametersCommand(parameters=values, declared={} if at_run_time else None)
+        try:
+            reply = await self.client.change(name, command)
+        except MidstrideError as error:
+            transfer.not_set(instance, action.parameters, str(error))
+            if action.before is not None and not isinstance(error, CommandRefused):  # it may still be carried out
+                await self.client.undo(name, setting.back(action.before))
+            raise
+        self._settings[name], self._before_setting[name] = setting, reply
+        if action.before is not None:
+            transfer.was_set(instance, action.parameters, action.before)
+        else:
+            transfer.set_in_place(instance, {each: from_json(reply.before[each]) for each in reply.declared})
+
+    async def _set_back(self, action: SetParameters) -> None:
+        """In a roll-back, restore the values before, also those that had been set at run time."""
+        name, back = action.instance, action.parameters
+        instance, setting = self.configuration.instances[name], self._settings.get(name)
+        command = commands.SetParametersCommand(parameters=json_values(back))
+        before = self._before_setting.get(name)
+        if action.before is not None and setting is not None:
+            command = setting.back(back)
+        elif before is not None and before.declared:
+            values = {each: before.before[each] for each in before.declared}
+            declared = json_values(back)
             command = commands.SetParametersCommand(
                 parameters=json_values(declared | values), declared=json_values(declared | before.declared)
             )
-        reply = await self.client.change(instance, command)
-        if not self.rolling_back:
-            self._before_setting[instance] = reply
-            values = {name: from_json(reply.before[name]) for name in reply.declared}
-            self.change.parameters.set_in_place(self.configuration.instances[instance], values)
+        done = next(
+            (
+                each.parameters
+                for each in self.change.actions
+                if isinstance(each, SetParameters) and each.instance == name
+            ),
+            back,
+        )
+        try:
+            await self.client.change(name, command)
+        except MidstrideError as error:
+            self.change.parameters.not_set_back(instance, done, str(error))
+            raise
+        if setting is not None:
+            seconds = self.backend.clock.steady() - setting.since
+            restored = {each: from_json(value) for each, value in command.parameters.items()}
+            self.change.parameters.set_back(instance, done, restored, seconds)
+
+    def left_as_set(self, action: SetParameters) -> bool:
+        """Whether there is nothing to set back, as the instance has ended; the next one has the values before."""
+        if not self.system.life.is_gone(action.instance):
+            return False
+        if (setting := self._settings.get(action.instance)) is not None:
+            self.system.values.put_back(setting.role, setting.values)
+        return True
+
+    @property
+    def everything_is_set(self) -> bool:
+        """Whether the change has set all the parameters that it sets."""
+        return self._settings.keys() >= {
+            each.instance for each in self.change.actions if isinstance(each, SetParameters)
+        }
+
+    async def watch_settings(self) -> None:
+        """Watch what the instances do whose parameters were set. Raises BrokenBySetting."""
+        timing = self.change.target.timing
+        watch = SettingsWatch(self.client, self.system, self.events, self._settings)
+        by_default = "watch_after" not in timing
+        seconds, shortest = watch.by_default() if by_default else (timing["watch_after"], WATCHED_WINDOW)
+        if seconds:
+            await self._unless_hurried(asyncio.ensure_future(watch.run(seconds, shortest)), by_default)
 
     async def _move_state(self, old: str, new: str) -> None:
         try:

@@ -15,7 +15,8 @@ from typing import Final
 
 from msgspec import UNSET, UnsetType, structs
 
-from midstride.errors import ChangeForbidden, ManagerError, PlanRefused, StepFailed, Superseded
+from midstride.codec.parameter import from_json
+from midstride.errors import BackendError, ChangeForbidden, ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
 from midstride.model.action import Action, Create, Upgrade
 from midstride.model.component import PortRef
@@ -33,6 +34,7 @@ from midstride.plan.runtime_values import Values, of_change
 from midstride.plan.sensitivity import sensitivity
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
+from midstride.plan.strategies.settings import set_parameters
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
@@ -125,8 +127,9 @@ class ChangeSession:
         request, orders, remarks = with_stalled_first(request, system.configuration, self.monitor.undiscovering)
         away = [role for role in system.crashes if not system.has_instance(role)]
         away = [role for role in away if request.stays_away(role, system.specification)]
+        said = await self._said([role for role, _ in request.parameters])
         plan, target = await asyncio.to_thread(
-            _plan, request, system.specification, system.configuration, values, measured, orders, away, unknown
+            _plan, request, system.specification, system.configuration, values, measured, orders, away, unknown, said
         )
         require_arbiters(plan)
         await require_unmanaged(plan, self.client)
@@ -145,6 +148,24 @@ class ChangeSession:
             *nodes_that_will_end(plan, others),
         )
         return replace(plan, remarks=(*remarks, *left, *not_known, *plan.remarks), besides=besides), target
+
+    async def _said(self, roles: Iterable[str]) -> dict[str, Values]:
+        """The parameters of the instances of ``roles``, by instance, as their nodes say them now.
+
+        Raises PlanRefused for an unknown role, or one whose instance does not run or does not say them.
+        """
+        found: dict[str, Values] = {}
+        for role in dict.fromkeys(roles):
+            try:
+                state = await self.client.peek(self.system.live_instance(role))
+            except (BackendError, ManagerError) as error:
+                raise PlanRefused(str(error)) from None
+            if state.unread_parameters:
+                raise PlanRefused(
+                    f"{state.instance} does not say its parameters: the services of {state.node} do not answer"
+                )
+            found[state.instance] = {name: from_json(value) for name, value in state.parameters.items()}
+        return found
 
     def ends_others(self, plan: Plan) -> str | None:
         """Why ``plan`` is refused, unless the other nodes that it ends are meant; None if there are none."""
@@ -494,14 +515,18 @@ def _plan(
     orders: Sequence[Order] = (),
     away: Collection[str] = (),
     unknown: Mapping[str, Collection[str]] | None = None,
+    said: Mapping[str, Values] | None = None,
 ) -> tuple[Plan, Specification]:
     """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first.
 
     The roles ``away`` do not run, and the plan leaves them so. ``unknown``: by role, the parameters of unknown origin.
+    ``said``: the values of those instances whose parameters are to be set.
     """
     target, keep = request.target(specification), not request.declared_parameters
     if request.restore:
         return restore(configuration, specification, dict(request.restore), measured), target
+    if request.parameters:
+        return set_parameters(configuration, specification, request.parameters, said or {}, measured), target
     planned = replace(target, constraints=(*target.constraints, *orders)) if request.strategy == "minimal" else target
     if request.to is not None and not keep:
         configuration = _as_set(configuration, values)

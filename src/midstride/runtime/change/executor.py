@@ -27,6 +27,7 @@ from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
 from midstride.runtime.change.running_change import RunningChange
+from midstride.runtime.change.settings_watch import BrokenBySetting
 from midstride.runtime.change.step_order import StepOrder
 from midstride.runtime.handover.cut_turns import CutTurn, CutTurns, GivenUp
 from midstride.runtime.process.child_process import tail as tail_of
@@ -117,7 +118,7 @@ class Executor:
                     await self._starts.start(action)
                 self._begin_ahead(indices[0], overlap)
                 self._last = indices[-1]
-                failures = await self._round(indices)
+                failures = await self._round(indices) or await self._watch_settings(indices)
             except StartFailedEarly as early:  # not this step has failed, but a later one
                 failures = {actions.index(early.action): early.error}
             except (Exception, asyncio.CancelledError) as error:
@@ -203,6 +204,21 @@ class Executor:
         for index in indices if held else ():
             await self.change.performed(self.change.actions[index])
         return {index: error for index, error in zip(indices, errors, strict=True) if error is not None}
+
+    async def _watch_settings(self, indices: Sequence[int]) -> dict[int, BaseException]:
+        """Once a round has set the last parameters of the change, watch. Returns which step has broken a contract."""
+        instances = {
+            action.instance: index
+            for index in indices
+            if isinstance(action := self.change.actions[index], SetParameters)
+        }
+        if not instances or not self.driver.everything_is_set:
+            return {}
+        try:
+            await self.driver.watch_settings()
+        except BrokenBySetting as error:
+            return {instances.get(error.instance, indices[-1]): error}
+        return {}
 
     async def _hand_over(self, indices: Sequence[int]) -> dict[int, BaseException]:
         """Take hand-overs: prepare all of them at once, cut one after another, and watch all. Returns which failed.
@@ -441,6 +457,8 @@ class Executor:
     async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
         """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns, and says, why."""
         what = undoing.describe(self.system.configuration)
+        if isinstance(undoing, SetParameters) and self.driver.left_as_set(undoing):
+            return None
         while True:
             try:
                 if isinstance(undoing, Create):

@@ -9,16 +9,17 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from midstride.codec.parameter import from_json, json_values
 from midstride.errors import CommandRefused, MidstrideError, PlanRefused, StepFailed
 from midstride.model.component import ROS_PARAMETERS, ParameterValue, same_value
 from midstride.model.configuration import Configuration, Instance
 from midstride.plan.change import Change
-from midstride.plan.runtime_values import Origin, RuntimeValue, Values, decide, left_behind, runtime_value
+from midstride.plan.runtime_values import Origin, RuntimeValue, Values, decide, left_behind, runtime_value, setting
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.reported_values import ReportedValues
+from midstride.verdicts import seconds_in_words
 from midstride.wire.commands import SetParametersCommand
 from midstride.wire.state import ComponentState
 
@@ -34,6 +35,10 @@ def unread_parameters(instance: Instance, state: ComponentState | None) -> str |
     else:
         return None
     return f"whether parameters of {instance.name} were set {when} is not known, since {why}; what was set is lost"
+
+
+# What a change reports of values also where it was rolled back.
+_OF_A_ROLLED_BACK_CHANGE: Final = ("late", "set_back", "not_set", "not_set_back")
 
 
 @dataclass
@@ -70,7 +75,7 @@ class ParameterTransfer:
     def report(self, done: bool) -> list[RuntimeValue]:
         """What became of each value. Unless the change is ``done``, only of those that are lost nevertheless."""
         found = [self._found[key] for key in sorted(self._found)]
-        return found if done else [value for value in found if value.fate == "late"]
+        return found if done else [value for value in found if value.fate in _OF_A_ROLLED_BACK_CHANGE]
 
     def _record(self, *values: RuntimeValue) -> None:
         self._found |= {(value.node, value.parameter): value for value in values}
@@ -178,6 +183,29 @@ class ParameterTransfer:
         """The specification's values have taken the place of ``values``, which were set at run time."""
         self._kept(instance, values)
 
+    # -- what the change itself sets ---------------------------------------------------------------
+
+    def was_set(self, instance: Instance, values: Values, before: Values) -> None:
+        """Note that the node has accepted the ``values``, which are set at run time."""
+        self._record(
+            *(setting(instance.role, name, values[name], "set", f"set; it was {before[name]!r}") for name in values)
+        )
+
+    def not_set(self, instance: Instance, values: Values, because: str) -> None:
+        """Note that the node has not accepted the ``values``."""
+        self._record(*(setting(instance.role, name, values[name], "not_set", f"not set: {because}") for name in values))
+
+    def set_back(self, instance: Instance, values: Values, before: Values, seconds: float) -> None:
+        """Note that the node had the ``values`` for at most so long (s), and has those ``before`` again."""
+        for name, value in values.items():
+            words = f"it had that for {seconds_in_words(seconds)} at most, and has {before[name]!r} again"
+            self._record(setting(instance.role, name, value, "set_back", words, round(seconds, 6)))
+
+    def not_set_back(self, instance: Instance, values: Values, because: str) -> None:
+        """Note that the node has the ``values``, although the change is rolled back."""
+        words = f"it has that still, as it could not be set back: {because}"
+        self._record(*(setting(instance.role, name, values[name], "not_set_back", words) for name in values))
+
     async def leaving(self, name: str, configuration: Configuration) -> None:
         """To be called right before and after an instance ends: what was set on it last is set on its partner.
 
@@ -210,6 +238,7 @@ class ParameterTransfer:
             except MidstrideError as error:
                 if not late:
                     raise
-                words, origin = f"too late, after the hand-over: {error}", "unknown" if name in unknown else "set"
+                words = f"too late, after the hand-over: {error}"
+                origin: Origin = "unknown" if name in unknown else "set"
                 self._record(runtime_value(new.role, name, value, "late", words, origin))
         self._carried[new.name] = self.reported.of(new.name)

@@ -192,10 +192,10 @@ class Probation:
 
 
 class WatchedOutput(NamedTuple):
-    """A new publisher after its cut: the output, that of its predecessor, the topic, and its rate (Hz), or 0."""
+    """A publisher that is watched: the output, that of its predecessor, if any, the topic, and its rate (Hz), or 0."""
 
     port: PortRef
-    old: PortRef
+    old: PortRef | None
     topic: str
     rate: float
 
@@ -207,16 +207,21 @@ async def watch_after(
     stretch: float,
     shortest: float = WATCHED_WINDOW,
 ) -> None:
-    """Watch new publishers for ``seconds`` after their cut; their rates over ``shortest`` seconds, or five periods.
+    """Watch publishers for ``seconds``, their rates over ``shortest`` seconds, or five periods.
 
-    Raises StepFailed as soon as one of them does not keep its rate while its predecessor, behind its gate, writes more,
-    or raises, or does not answer any more.
+    Raises StepFailed as soon as one of them does not keep its rate, unless its predecessor, behind its gate, writes no
+    more, or raises, or does not answer any more.
     """
+
+    def after(output: WatchedOutput) -> str:
+        return "after its parameters were set" if output.old is None else "after the hand-over"
 
     async def written(output: WatchedOutput) -> tuple[float, float]:
         """How many messages the new one and the old one have written; of an old one that has ended, nothing counts."""
         command = CountWritesCommand(port=output.port.port, topic=output.topic)
         new = (await client.read(output.port.instance, command)).written
+        if output.old is None:
+            return new, math.nan
         try:
             old = await client.read(output.old.instance, structs.replace(command, port=output.old.port))
         except MidstrideError:
@@ -234,17 +239,17 @@ async def watch_after(
                 begun, before = client.clock.steady(), await written(output) if rate else (0, 0)
                 verdict = await client.read(port.instance, command)
                 if verdict.failed:
-                    raise StepFailed(f"the code that writes {port} has raised after the hand-over")
+                    raise StepFailed(f"the code that writes {port} has raised {after(output)}")
                 if not verdict.reached:
                     return
                 new, old = (now - earlier for now, earlier in zip(await written(output), before, strict=True))
                 if not new >= AS_MUCH * old - 1:
-                    raise StepFailed(f"{_words(port, rate, window, verdict)}, after the hand-over")
+                    raise StepFailed(f"{_words(port, rate, window, verdict)}, {after(output)}")
                 left -= client.clock.steady() - begun
         except StepFailed:
             raise
         except MidstrideError as error:
-            raise StepFailed(f"{port} was watched after the hand-over: {error}") from error
+            raise StepFailed(f"{port} was watched {after(output)}: {error}") from error
 
     await all_of(watch(output) for output in outputs)
 

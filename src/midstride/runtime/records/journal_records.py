@@ -11,15 +11,17 @@ import sqlite3
 import time
 from collections.abc import Container
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
+from midstride.codec.parameter import from_json
 from midstride.codec.specification_form import SpecificationForm, decode_saved_specification
 from midstride.errors import MidstrideError
 from midstride.model.specification import Specification
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms.plan_forms import PlanPreview
+from midstride.plan.runtime_values import Values
 from midstride.runtime.records.disk import Database, Statement
 
 # What is raised where the journal cannot be used: by the disk, and by what is in the file.
@@ -75,6 +77,7 @@ class Interrupted:
 
     ``step`` is the number of the last step that was begun, ``since`` that of the first which had not ended.
     ``created``: the instances that it was to create, where it left the specification as it was, such as a restart.
+    ``settings``: the values before of the parameters that it was to set at run time, by instance.
     """
 
     number: int
@@ -84,9 +87,12 @@ class Interrupted:
     step: int | None
     since: int | None
     created: frozenset[str] = frozenset()
+    settings: tuple[tuple[str, Values], ...] = ()
 
     def finished(self, specification: Specification, instances: Container[str]) -> bool:
         """Return whether it has been finished, where ``specification`` and ``instances`` run now."""
+        if self.settings:  # it was watched to its end, or is rolled back
+            return False
         return specification == self.target and all(name in instances for name in self.created)
 
     def __str__(self) -> str:
@@ -174,6 +180,7 @@ def interrupted(database: Database) -> list[Interrupted]:
             step,
             since,
             _created(plan) if same else frozenset(),
+            _settings(plan),
         )
         for number, command, steps, form, step, since, same, plan in database.read(query)
     ]
@@ -182,19 +189,31 @@ def interrupted(database: Database) -> list[Interrupted]:
 class _Step(msgspec.Struct):
     action: str
     instance: str = ""
+    before: dict[str, Any] | None = None
 
 
 class _Plan(msgspec.Struct):
     steps: list[_Step] = []
 
 
-def _created(plan: str | None) -> frozenset[str]:
-    """The instances that a recorded plan creates, also where another version has recorded it."""
+def _steps(plan: str | None) -> list[_Step]:
+    """The steps of a recorded plan; none where another version has recorded it otherwise."""
     try:
-        steps = msgspec.json.decode(plan or "{}", type=_Plan).steps
+        return msgspec.json.decode(plan or "{}", type=_Plan).steps
     except msgspec.DecodeError:
-        return frozenset()
-    return frozenset(step.instance for step in steps if step.action == "create")
+        return []
+
+
+def _created(plan: str | None) -> frozenset[str]:
+    """The instances that a recorded plan creates."""
+    return frozenset(step.instance for step in _steps(plan) if step.action == "create")
+
+
+def _settings(plan: str | None) -> tuple[tuple[str, Values], ...]:
+    """The values before of the parameters that a recorded plan sets at run time, by instance."""
+    steps = ((step.instance, step.before) for step in _steps(plan) if step.action == "set")
+    found = ((instance, before) for instance, before in steps if before)
+    return tuple((name, {each: from_json(value) for each, value in before.items()}) for name, before in found)
 
 
 def estimates(database: Database, backend: str) -> dict[str, Estimate]:

@@ -123,19 +123,27 @@ class ProgramStatus(Report, frozen=True, kw_only=True):
 
 
 class ParameterStatus(Report, frozen=True):
-    """A parameter of a component. Where it was set at run time, `declared` is the value that it was started with."""
+    """A parameter of a component. Where it was set at run time, `declared` is the value that it was started with.
+
+    `origin`: `unknown` where a ROS tool has set it, or the node itself; absent otherwise.
+    """
 
     name: str
     value: ValueForm
     declared: ValueForm
     set_at_run_time: bool
+    origin: Literal["unknown"] | UnsetType = UNSET
 
 
 class ParametersReport(Report, frozen=True):
-    """The parameters that were set, as the instance has them now."""
+    """Parameters of an instance, as it has them now.
+
+    `unread`: why its node has not said them; `parameters` are then those that it said last. Absent if it has.
+    """
 
     instance: str
     parameters: list[ParameterStatus]
+    unread: str | UnsetType = UNSET
 
 
 class OtherNodeStatus(Report, frozen=True):

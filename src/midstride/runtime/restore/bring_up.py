@@ -9,9 +9,12 @@ import asyncio
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from immutables import Map
+
 from midstride.errors import CommandRefused, ManagerError, PlanRefused, StepFailed
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
+from midstride.plan.request import PlanRequest
 from midstride.plan.runtime_values import of_change
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
@@ -138,6 +141,24 @@ class BringUp:
             return begun.left_out
         self.system.configuration = change.in_target_context(self.system.configuration)
         return {}
+
+    async def set_back(self, interrupted: Sequence[Interrupted]) -> None:
+        """Roll back the settings of parameters that an earlier manager has begun and not watched to their end."""
+        for change in interrupted:
+            running = self.system.configuration.instances
+            before = {running[name].role: values for name, values in change.settings if name in running}
+            if not before:
+                continue
+            request = PlanRequest(parameters=tuple((role, Map(values)) for role, values in before.items()))
+            try:
+                plan, target = await self.session.plan(request)
+                if plan.steps:
+                    begun = await self.session.begin(plan, target, request.describe(), "up", required=False)
+                    outcome = await self.session.carry_out(begun)
+                    if outcome.outcome != "done":
+                        raise PlanRefused(str(outcome.because))
+            except PlanRefused as error:
+                self.events.add("note", f"`{change.command}` was interrupted, and cannot be rolled back: {error}")
 
     async def recover(self, saved: SavedState, interrupted: Iterable[Interrupted]) -> set[str]:
         """Find what an earlier manager left, and degrade what is without support.

@@ -145,7 +145,13 @@ def is_sound(status: InstanceStatus) -> bool:
 def parameters(state: ComponentState) -> list[ParameterStatus]:
     """The parameters of a component, by name."""
     return [
-        ParameterStatus(name, value, state.declared.get(name, value), name in state.declared)
+        ParameterStatus(
+            name,
+            value,
+            state.declared.get(name, value),
+            name in state.declared,
+            "unknown" if name in state.unknown_origin else UNSET,
+        )
         for name, value in sorted(state.parameters.items())
     ]
 

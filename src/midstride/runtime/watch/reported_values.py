@@ -22,6 +22,7 @@ class ReportedValues:
 
     saved: dict[str, Values] = field(default_factory=dict)
     _of_instance: dict[str, Values] = field(default_factory=dict)
+    _put_back: dict[str, Values] = field(default_factory=dict)  # by role, until they are saved
     _unknown: dict[str, Collection[str]] = field(default_factory=dict)  # by instance
 
     def report(self, state: ComponentState) -> bool:
@@ -54,14 +55,19 @@ class ReportedValues:
             for role, names in configuration.instances_by_role.items()
             if len(names) == 1  # else a change is under way
         }
-        return {**self.saved, **live}
+        return {**self.saved, **self._put_back, **live}
 
     def update_saved(self, configuration: Configuration, roles: Mapping[str, object]) -> dict[str, Values]:
         """What is to be saved: the values of each role that have changed. Forgets roles that are not in ``roles``."""
         now = {role: values if role in roles else _NONE for role, values in self.by_role(configuration).items()}
         changed = {role: values for role, values in now.items() if values != self.saved.get(role, _NONE)}
         self.saved = {role: values for role, values in now.items() if values}
+        self._put_back.clear()
         return changed
+
+    def put_back(self, role: str, values: Values) -> None:
+        """The instance of a role has ended while a change was carried out: the next one has these ``values`` again."""
+        self._put_back[role] = values
 
     def forget_ended(self, configuration: Configuration) -> None:
         """Forget the instances that are not live."""

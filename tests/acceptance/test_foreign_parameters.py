@@ -1,0 +1,147 @@
+"""Two nodes in plain rclpy: their parameters are set by ROS's own service and by Midstride, and kept or set back."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride import backends
+from midstride.errors import CommandRefused
+from midstride.lang.load import load
+from midstride.model.component import ParameterValue
+from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from midstride.runtime.records.reports import Outcome
+from midstride.runtime.workspace import Workspace
+from tests.acceptance.support import ended
+from tests.acceptance.test_parameters import set_by_a_client
+from tests.backends.ros2_support import Bare, run
+
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
+
+# It refuses a speed above 5, and writes every fourth of its messages where it is above 3.
+PROGRAM = """
+import itertools
+import rclpy
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from std_msgs.msg import String
+
+rclpy.init()
+node = Node("driver")
+node.declare_parameter("speed", 9.0)
+node.declare_parameter("gain", 0.1)
+node.declare_parameter("frame", "base", ParameterDescriptor(read_only=True))
+out = node.create_publisher(String, "cmd", 10)
+count = itertools.count()
+
+def check(parameters):
+    fast = any(each.name == "speed" and each.value > 5 for each in parameters)
+    return SetParametersResult(successful=not fast, reason="it is too fast" if fast else "")
+
+def drive():
+    speed = node.get_parameter("speed").value
+    if speed <= 3 or next(count) % 4 == 0:
+        out.publish(String(data=str(speed)))
+
+node.add_on_set_parameters_callback(check)
+node.create_timer(0.05, drive)
+try:
+    rclpy.spin(node)
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
+"""
+TEXT = """system drive
+
+topic /left  : std_msgs/msg/String @ 20 Hz
+topic /right : std_msgs/msg/String @ 20 Hz
+
+component Driver {
+  run "PYTHON node.py" gate preload
+  parameters { changeable speed = 1.0 }
+  output cmd
+  functionality drive {
+    produces cmd
+    mode normal { guarantee cmd : std_msgs/msg/String @ 20 Hz }
+    mode degraded { }
+  }
+}
+
+node left  : Driver { cmd -> /left }
+node right : Driver { cmd -> /right   parameters { speed = 2.0 } }
+
+timing { watch_after 3 s }
+"""
+
+
+def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> None:
+    (tmp_path / "node.py").write_text(PROGRAM, encoding="utf-8")
+    (tmp_path / "drive.stride").write_text(TEXT.replace("PYTHON", sys.executable), encoding="utf-8")
+    (tmp_path / "system").mkdir()
+    workspace = Workspace(tmp_path / "system")
+    manager = Manager(load(tmp_path / "drive.stride").require(), backends.make("ros2", workspace), workspace, tmp_path)
+
+    async def scenario() -> None:
+        await manager.up()
+        with Bare("tool") as bare:
+
+            async def carried_out(request: PlanRequest) -> Outcome:
+                change = asyncio.ensure_future(manager.change(request))
+                await bare.until(change.done, 120)
+                return change.result()
+
+            async def values(role: str) -> dict[str, object]:
+                (report,) = await manager.parameters(role)
+                return {each.name: each.value for each in report.parameters if each.name in ("speed", "gain", "frame")}
+
+            # Asked for its parameters once, it is known what it started with.
+            assert await values("left") == {"speed": 1.0, "gain": 0.1, "frame": "base"}
+            assert await set_by_a_client(bare, "/left", "gain", 0.25) == (True, "")
+            (report,) = await manager.parameters("left")
+            assert [(each.value, each.origin) for each in report.parameters if each.name == "gain"] == [
+                (0.25, "unknown")
+            ]
+            await manager.set_parameters("left", {"speed": 2})
+            with pytest.raises(CommandRefused, match=r"left refuses speed = 6\.0: it is too fast"):
+                await manager.set_parameters("left", {"speed": 6.0})
+            with pytest.raises(CommandRefused, match=r"it has no sped; did you mean `speed`\?"):
+                await manager.set_parameters("left", {"sped": 6.0})
+            with pytest.raises(CommandRefused, match=r"left refuses frame = 'odom': .*read-only"):
+                await manager.set_parameters("left", {"frame": "odom"})
+
+            # One of two nodes refuses, and then one breaks its rate.
+            before = [{"speed": 2.0, "gain": 0.25, "frame": "base"}, {"speed": 2.0, "gain": 0.1, "frame": "base"}]
+            for speed, because, fate in (
+                (6.0, "right refuses speed = 6.0: it is too fast", "not_set"),
+                (4.0, "right.cmd does not keep the 20 Hz that its mode guarantees", "set_back"),
+            ):
+                outcome = await carried_out(setting(left={"gain": 0.5, "speed": 3}, right={"speed": speed}))
+                assert outcome.outcome == "rolled_back" and because in str(outcome.because), outcome.because
+                assert [await values("left"), await values("right")] == before
+                fates = {(each.node, each.parameter): each.fate for each in outcome.parameters}
+                assert fates == {("left", "gain"): "set_back", ("left", "speed"): "set_back", ("right", "speed"): fate}
+            outcome = await carried_out(setting(left={"speed": 3}, right={"speed": 3}))
+            assert (outcome.outcome, outcome.because) == ("done", None)
+
+            # What was set travels, also what a tool has set.
+            outcome = await carried_out(PlanRequest(restart=("left",)))
+            assert (outcome.outcome, outcome.because) == ("done", None)
+            assert {(each.parameter, each.fate, each.origin) for each in outcome.parameters} == {
+                ("gain", "kept", "unknown"),
+                ("speed", "kept", "set"),
+            }
+            assert await values("left") == {"speed": 3.0, "gain": 0.25, "frame": "base"}
+        await manager.down()
+        await manager.close()
+
+    with ended():
+        run(scenario())
+
+
+def setting(**values: dict[str, ParameterValue]) -> PlanRequest:
+    return PlanRequest(parameters=tuple((role, Map(each)) for role, each in values.items()))
