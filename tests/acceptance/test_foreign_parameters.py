@@ -75,7 +75,7 @@ component Driver {
 node left  : Driver { cmd -> /left }
 node right : Driver { cmd -> /right   parameters { speed = 2.0 } }
 
-timing { watch_after 3 s }
+timing { watch_after 2 s }
 """
 
 

@@ -9,8 +9,8 @@ questions about specifications without a plan.
 """
 
 PUBLIC = (
-    "Alternative Change Degradation Estimate LevelShift Levels Overlap Plan PlanLowering PlanRequest RuntimeValue "
-    "Step Values alternatives change_between decide differences impacts left_behind of_change one_by_one overlap "
-    "planned_instances renamed_components requested_change require runtime_value sensitivity unmeasured_pair "
-    "without_outputs"
+    "Alternative Change Degradation Estimate LevelShift Levels Origin Overlap Plan PlanLowering PlanRequest "
+    "RuntimeValue Step Values alternatives change_between decide differences impacts left_behind of_change one_by_one "
+    "overlap planned_instances renamed_components requested_change require runtime_value sensitivity setting "
+    "unmeasured_pair without_outputs"
 )

@@ -305,6 +305,7 @@ class ActionDriver:
             ),
             back,
         )
+        self.client.forget_revision(name)  # it may have degraded by what was set
         try:
             await self.client.change(name, command)
         except MidstrideError as error:
@@ -320,7 +321,7 @@ class ActionDriver:
         if not self.system.life.is_gone(action.instance):
             return False
         if (setting := self._settings.get(action.instance)) is not None:
-            self.system.values.put_back(setting.role, setting.values)
+            self.system.values.put_back(action.instance, setting.role, setting.values)
         return True
 
     @property

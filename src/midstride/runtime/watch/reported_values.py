@@ -65,9 +65,9 @@ class ReportedValues:
         self._put_back.clear()
         return changed
 
-    def put_back(self, role: str, values: Values) -> None:
-        """The instance of a role has ended while a change was carried out: the next one has these ``values`` again."""
-        self._put_back[role] = values
+    def put_back(self, instance: str, role: str, values: Values) -> None:
+        """An instance of a role has ended while a change was carried out: the next one has these ``values`` again."""
+        self._of_instance[instance] = self._put_back[role] = values
 
     def forget_ended(self, configuration: Configuration) -> None:
         """Forget the instances that are not live."""
