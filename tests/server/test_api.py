@@ -79,7 +79,7 @@ def test_the_openapi_document_has_every_operation() -> None:
         assert {f"/api/v1{path}" for path in CHANGING} == {
             path for path, operations in document["paths"].items() if "post" in operations
         }
-        reading = ("", "/up", "/programs", "/configuration", "/specification", "/why", "/log")
+        reading = ("", "/up", "/programs", "/configuration", "/specification", "/parameters", "/why", "/log")
         viewing = ("/view", "/view/stream", "/view/timeline", "/view/at")
         assert {
             f"/api/v1{path}"
