@@ -302,3 +302,38 @@ def test_values_that_are_stated_and_not_reported_are_listed(monkeypatch: pytest.
     refused = run("param", "get", "base", "frame")
     assert refused[0] == 1 and "frame of base_2 is not known: 'map' is stated; the node has no such" in refused[2]
     assert json.loads(run("param", "list", "--json")[1]) == {"base_2": [value]}
+
+
+def test_parameters_of_several_nodes_are_set_as_one_change(tuned: Midstride) -> None:
+    preview = tuned("param", "set", "talker.gain=3", "talker.names=[b]", "--dry-run")
+    assert preview.status == 0, preview.err
+    assert "set gain = 3.0, names = ['b'] on talker" in preview.out
+    before = tuned("param", "get", "talker", "gain").out
+    done = tuned("param", "set", "talker.gain=3", "talker.names=[b]")
+    assert done.status == 0, done.err
+    assert "gain = 3.0: set; it was " in done.out
+    assert before != tuned("param", "get", "talker", "gain").out
+    assert "set talker.gain = 3, talker.names = ['b']" in tuned("history").out.replace("\n", " ")
+    refused = tuned("param", "set", "talker.gain=-11")
+    assert refused.status == 1 and "it must be at least -10" in refused.out + refused.err
+    assert tuned("param", "get", "talker", "gain", "--json").json["value"] == 3.0
+    unknown = tuned("param", "set", "talker.gian=1", "--dry-run")
+    assert unknown.status == 1 and "talker has no parameter gian; did you mean `gain`?" in unknown.err
+    loud = tuned("param", "set", "talker.gain=loud", "--dry-run")
+    assert loud.status == 1 and "write a float" in loud.err
+    assert tuned("restart", "talker", "--yes", "--declared-parameters").status == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "because"),
+    [
+        (("talker", "gain"), "write NODE NAME VALUE, or NODE.NAME=VALUE for each parameter"),
+        (("talker.gain=1", "talker.gain=2"), "talker.gain is given twice"),
+        (("talker.gain=1", "gain=2"), "`gain=2` is not of the form NODE.NAME=VALUE, such as camera.rate=10"),
+        (("talker.gain=1", "gain"), "`gain` is not of the form NODE.NAME=VALUE, such as camera.rate=10"),
+        (("talker", "gain", "1", "--dry-run"), "write NODE NAME VALUE, or NODE.NAME=VALUE"),
+    ],
+)
+def test_what_is_neither_form_of_a_setting_is_refused(tuned: Midstride, words: tuple[str, ...], because: str) -> None:
+    refused = tuned("param", "set", *words)
+    assert refused.status == 2 and because in refused.err

@@ -158,7 +158,7 @@ def _about_plan(plan: AnyPlan) -> str:
 def _runtime_values(found: AnyPlan | Outcome) -> Iterable[Text]:
     """What becomes of parameter values that were set at run time."""
     for value in found.parameters or ():
-        yield Text(value.words, style="default" if value.fate == "kept" else "yellow")
+        yield Text(value.words, style="default" if value.fate in ("kept", "set") else "yellow")
 
 
 def falls(plan: AnyPlan) -> str:
