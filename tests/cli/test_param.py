@@ -313,7 +313,8 @@ def test_parameters_of_several_nodes_are_set_as_one_change(tuned: Midstride) -> 
     assert done.status == 0, done.err
     assert "gain = 3.0: set; it was " in done.out
     assert before != tuned("param", "get", "talker", "gain").out
-    assert "set talker.gain = 3, talker.names = ['b']" in tuned("history").out.replace("\n", " ")
+    commands = [each["command"] for each in tuned("history", "--json").json["changes"]]
+    assert "set talker.gain = 3, talker.names = ['b']" in commands
     refused = tuned("param", "set", "talker.gain=-11")
     assert refused.status == 1 and "it must be at least -10" in refused.out + refused.err
     assert tuned("param", "get", "talker", "gain", "--json").json["value"] == 3.0
