@@ -113,6 +113,24 @@ def test_an_output_that_publishes_nothing_although_its_mode_guarantees_a_rate_is
     reporting(tmp_path, body)
 
 
+@pytest.mark.parametrize("how", ["lowered", "closed", "detached"])
+def test_an_output_of_which_nothing_is_expected_any_more_is_not_said_to_publish_again(how: str, tmp_path: Path) -> None:
+    async def body(r: Reports) -> None:
+        await r.half_seconds(4)
+        await r.half_seconds(8, talker=0, listener=0)
+        assert r.kinds() == [("not_publishing", "talker.out")]
+        if how == "lowered":  # as what a hung component feeds is, before the component is replaced
+            r.b.configuration = r.b.configuration.with_modes({work("talker"): 1})
+        elif how == "closed":
+            r.gate = "closed"
+        else:
+            r.b.configuration = r.b.configuration.without_attachment(PortRef("talker", "out"), "/chatter")
+        await r.half_seconds(4, talker=0, listener=0)
+        assert r.kinds() == [] and r.b.words("note") == []
+
+    reporting(tmp_path, body)
+
+
 @pytest.mark.parametrize("why", ["gate", "simulated_time", "mode", "lazy"])
 def test_an_output_that_need_not_publish_is_no_fault(why: str, tmp_path: Path) -> None:
     async def body(r: Reports) -> None:

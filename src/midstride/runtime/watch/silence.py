@@ -7,7 +7,8 @@ during which they began (docs/protocols/faults.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Set
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -41,11 +42,13 @@ _ENDED: Final = {
 class _Link:
     """One attachment as last reported, and since when its count is the same (steady s).
 
-    For an input: how many messages others have published on its topic since, and when the first of them was.
+    ``passed``: when it was known last that a message had passed (steady s). For an input: how many messages others have
+    published on its topic since, and when the first of them was.
     """
 
     state: LinkState
     since: float
+    passed: float = -math.inf
     unreceived: int = 0
     unreceived_since: float = 0.0
 
@@ -71,6 +74,7 @@ class SilenceMonitor:
     _reports: dict[str, _Report] = field(default_factory=dict)  # the last one of each instance
     _known: dict[str, SilenceFault] = field(default_factory=dict)  # the faults of the last check
     _checked: float = 0.0
+    _judged: float = 0.0  # when it was checked last whether there are faults (steady s)
 
     def on_report(self, state: ComponentState, configuration: Configuration) -> None:
         """A component has reported its state."""
@@ -91,7 +95,10 @@ class SilenceMonitor:
             # While simulated time stands still, nothing is due on it.
             free = fresh or (state.clock_speed == 0 and link.gate is not None)
             if known is None or free or (known.state.gate, known.state.count) != (link.gate, link.count):
-                links[port] = _Link(link, now)
+                passed = -math.inf if known is None else known.passed
+                if known is not None and link.count > known.state.count:
+                    passed = now
+                links[port] = _Link(link, now, passed)
                 if known is not None and not fresh and link.gate is not None:
                     self._published(links, link.count - known.state.count, now)
         if (since := now - self._checked) >= CHECK_INTERVAL:
@@ -120,9 +127,22 @@ class SilenceMonitor:
         for words in sorted(found.keys() - self._known.keys()):
             self.events.add("silence", words)
         for words in sorted(self._known.keys() - found.keys()):
-            if (fault := self._known[words]).instance in configuration.instances:
+            fault = self._known[words]
+            if fault.instance in configuration.instances and self._is_over(fault, found.values()):
                 self.events.add("note", _ENDED[fault.kind].format(fault))
-        self._known = found
+        self._known, self._judged = found, self.clock.steady()
+
+    def _is_over(self, fault: SilenceFault, now: Iterable[SilenceFault]) -> bool:
+        """Return whether a fault of the last check has ended, rather than that nothing is expected there any more.
+
+        So it is of an output whose mode guarantees no rate. ``now``: the faults of this moment.
+        """
+        if any((each.kind, each.instance, each.port) == (fault.kind, fault.instance, fault.port) for each in now):
+            return False  # in other words
+        if fault.port is None:
+            return self.life.responsive(fault.instance) is not None
+        links = self._links.get(fault.topic or "", {}).items()
+        return any(str(port) == fault.port and link.passed > self._judged for port, link in links)
 
     def faults(self, configuration: Configuration) -> list[SilenceFault]:
         """What is silent now, by instance and port."""
