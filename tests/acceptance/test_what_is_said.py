@@ -25,15 +25,17 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 
 from midstride.errors import PlanRefused
-from midstride.foreign import gated_agent
+from midstride.foreign import gated_agent, lifecycle_managers
 from midstride.foreign.record import ForeignRecord
 from midstride.lang.load import load
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.plan.request import PlanRequest
+from midstride.runtime.handover import probation
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.verdicts import Assessment, Assessments
@@ -111,7 +113,7 @@ class Life(LifecycleNode):
 
     def on_activate(self, state):
         if fault(role) == "slow":
-            time.sleep(3)
+            time.sleep(1.5)
         return super().on_activate(state)
 
 
@@ -164,7 +166,7 @@ CONTROL = "control"
 
 
 def specification() -> str:
-    text = ["system robot", "timing { probation_timeout 3 s }"]
+    text = ["system robot"]
     for role, (program, gate) in (GATES | BARE | OTHERS | {CONTROL: ("talk.py", "preload")}).items():
         kind = role.capitalize()
         own = "activate 0.5 s " if "lifecycle" in (gate or "") else ""
@@ -475,7 +477,8 @@ async def slow(robot: Robot) -> None:
 
 async def mute(robot: Robot) -> None:
     robot.fault("mute", "preload", "relay")
-    outcome, _ = await robot.change("R12 mute", ["preload", "relay"])
+    with patch.object(probation, "PROBATION", 1.0):
+        outcome, _ = await robot.change("R12 mute", ["preload", "relay"])
     assert outcome.outcome == "rolled_back"
     robot.fault("", "preload", "relay")
     await robot.hears("preload", "relay")
@@ -544,6 +547,8 @@ FAULTS = (
 
 def test_no_word_of_plan_report_history_and_status_is_false(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gated_agent, "endpoints_seconds", lambda _: 4.0)
+    monkeypatch.setattr(gated_agent, "GRAPH_LOOK", 0.5)  # the recorder is taken for a manager, and says no parameters
+    monkeypatch.setattr(lifecycle_managers, "_PATIENCE", 0.1)
 
     async def scenario() -> None:
         async with robot(tmp_path) as found:
