@@ -91,6 +91,36 @@ def test_every_node_of_the_process_gets_what_rcl_gives_it(text: str, name: str, 
 
 
 @needs_rcl
+@pytest.mark.parametrize(
+    ("component", "node"),
+    [
+        ('parameters { use_sim_time = true gain = 2 } parameters "p.yaml"', ""),
+        ('parameters "p.yaml" parameters { use_sim_time = true gain = 2 }', ""),
+        ('parameters { use_sim_time = false gain = 1 } parameters "p.yaml"', "{ parameters { use_sim_time = true } }"),
+    ],
+    ids=["before the file", "after it", "in the node"],
+)
+def test_simulated_time_that_is_stated_is_that_of_the_whole_process(component: str, node: str, tmp_path: Path) -> None:
+    """As a parameter of a launch file is, which reaches each node of the process: a buffer of transforms, a costmap."""
+    file = {"p.yaml": "inner: {ros__parameters: {rate: 5.0}}\n"}
+    specification = loaded(tmp_path, COMPONENT % component + f"node n : C {node}\n", file)
+    assert specification is not None
+    found = written(specification, "n", tmp_path)
+    assert effective(found, "inner") == {"use_sim_time": comparable(True), "rate": comparable(5.0)}
+    assert effective(found, "a/b") == {"use_sim_time": comparable(True)}
+    assert effective(found, "n")["use_sim_time"] == comparable(True)
+
+
+@needs_rcl
+def test_simulated_time_of_a_file_is_for_the_nodes_of_its_section(tmp_path: Path) -> None:
+    file = {"p.yaml": "n: {ros__parameters: {use_sim_time: true}}\n"}
+    specification = loaded(tmp_path, COMPONENT % 'parameters "p.yaml"' + "node n : C\n", file)
+    assert specification is not None
+    found = written(specification, "n", tmp_path)
+    assert (effective(found, "inner"), effective(found, "n")) == ({}, {"use_sim_time": comparable(True)})
+
+
+@needs_rcl
 @pytest.mark.parametrize("seed", range(4))
 def test_drawn_files_mean_the_same_in_the_file_of_the_process(seed: int, tmp_path: Path) -> None:
     drawn = random.Random(seed)

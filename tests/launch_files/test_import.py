@@ -529,6 +529,7 @@ def test_a_node_of_a_launch_file_in_python_is_named_as_one_in_xml(
         ("import sys; sys.exit(3)", "cannot be imported"),
         ("raise RuntimeError('no luck')", "it failed: RuntimeError: no luck"),
         ("import sys; print(1); sys.exit(1)", "it failed: exit status 1"),
+        ("pass", "it has ended the process that carried it out, with status 0"),
     ],
 )
 def test_a_launch_file_in_python_that_cannot_be_carried_out(script: str, why: str) -> None:
@@ -638,6 +639,31 @@ def test_what_a_specification_needs_of_other_folders_is_in_its_first_line(
     assert found.text.startswith(
         f"# Needs files of other folders: `midstride --include-path {tmp_path}/config COMMAND …`"
     )
+
+
+def test_a_value_that_launch_gives_to_further_nodes_of_the_process_is_named(tmp_path: Path) -> None:
+    (tmp_path / "two.yaml").write_text(
+        "two: {ros__parameters: {rate: 20.0}}\nlocal_costmap: {local_costmap: {ros__parameters: {width: 3}}}\n"
+    )
+    file = '<param from="$(dirname)/two.yaml"/>'
+    rate = '<param name="rate" value="7.0"/>'
+    (finding,) = of_xml(tmp_path, f'<node exec="./two" name="two">{file}{rate}</node>').findings
+    assert "launch gives `rate` to all nodes of the process of `two`" in finding.message and not finding.left_out
+    assert "if `local_costmap/local_costmap` is in this process" in finding.message
+    # Set for all nodes, it is for all of those as well.
+    set_for_all = '<set_parameter name="rate" value="7.0"/>'
+    (finding,) = of_xml(tmp_path, f'{set_for_all}<node exec="./two" name="two">{file}</node>').findings
+    assert "launch gives `rate` to all nodes" in finding.message
+    for body in (
+        f'<node exec="./two" name="two">{file}</node>',
+        f'<node exec="./two" name="two">{rate}</node>',
+        f'<node exec="./two" name="two">{file}<param name="use_sim_time" value="true"/></node>',
+        # In a namespace that is stated, launch gives the value to that node alone.
+        f'<node exec="./two" name="two" namespace="robot1">{file}{rate}</node>',
+        f'<node exec="./two" name="two">{file}{rate}</node>'
+        '<node exec="./b" name="local_costmap" namespace="local_costmap"/>',
+    ):
+        assert "all nodes of the process" not in str([str(each) for each in of_xml(tmp_path, body).findings]), body
 
 
 def test_links_of_a_sourced_workspace_are_followed(tmp_path: Path) -> None:

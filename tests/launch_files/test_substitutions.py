@@ -110,7 +110,8 @@ def test_what_has_no_value_says_why(text: str, why: str) -> None:
         ("round(math.sin(pi / 2)) // 1", "1"),
         ("[1, 2, 3][1:]", "[2, 3]"),
         ("not 1 < 2 < 3", "False"),
-        ("true or undefined", "True"),
+        ("True or undefined", "True"),
+        ("(1, 2) + (3,)", "(1, 2, 3)"),
     ],
 )
 def test_expressions_have_the_values_of_python(text: str, value: str) -> None:
@@ -137,6 +138,7 @@ def test_expressions_have_the_values_of_python(text: str, value: str) -> None:
         "'a",
         "len",
         "(" * 500 + ")" * 500,
+        "true",
     ],
 )
 def test_other_expressions_have_no_value(text: str) -> None:

@@ -280,6 +280,31 @@ def test_one_that_refuses_its_welcome_is_ended(tmp_path: Path) -> None:
     bench(NOTHING, tmp_path, body)
 
 
+@pytest.mark.parametrize(
+    ("status", "log", "words"),
+    [
+        (1, "no device\n", r"exited with status 1 before it was accepted:\nno device"),
+        (-11, "", "was killed by signal 11"),
+    ],
+)
+def test_one_that_has_ended_before_it_was_accepted_is_not_said_to_refuse(
+    status: int, log: str, words: str, tmp_path: Path
+) -> None:
+    """A program without the API counts as registered at once, so it may have ended by then."""
+
+    async def body(b: Bench) -> None:
+        b.startable(CAMERA)
+        b.client.reply("front/camera", ObserveCommand, REFUSED)
+        await b.launcher.start(CAMERA)
+        ended = Exited("front/camera", status, log)
+        b.client.life.exited(ended)
+        b.launcher.exited(ended)
+        with pytest.raises(StartFailed, match=f"front/camera {words}"):
+            await b.launcher.registered(CAMERA)
+
+    bench(NOTHING, tmp_path, body)
+
+
 def test_one_that_does_not_answer_has_time_while_others_start(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         other = changed(CAMERA, name="front/other")

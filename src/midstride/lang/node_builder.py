@@ -31,7 +31,8 @@ class _Stated:
     """What is stated for the parameters of one role, statement by statement: the later one takes precedence.
 
     ``values``: for the role, but for the defaults of its component. ``of_files``: those of files among them, whatever
-    is stated after them. ``sections``: what files have for all nodes, by the names of their sections.
+    is stated after them. ``sections``: what files have for all nodes, by the names of their sections. ``foreign``: its
+    program does not use Midstride's API, so it may have further nodes.
     """
 
     role: str
@@ -40,6 +41,7 @@ class _Stated:
     of_files: dict[str, ParameterValueAt] = field(default_factory=dict)
     sections: dict[str, dict[str, ParameterValue]] = field(default_factory=dict)
     unnamed: bool = False
+    foreign: bool = False
     _run: tuple[str, ...] = ()
 
     def file(self, key: str) -> None:
@@ -53,11 +55,15 @@ class _Stated:
         if value is not None:
             self.values[name] = value
 
+    def for_all(self, name: str, value: ParameterValueAt) -> None:
+        """A value that further nodes of the process have as well, as launch gives it to them."""
+        self.end()
+        self.sections.setdefault(_ALL, {})[name] = value.value
+
     def value_for_all(self, name: str, value: ParameterValueAt) -> None:
         """A value of a node whose name is not known: as in launch, it is for all nodes of the process."""
-        self.end()
+        self.for_all(name, value)
         self.values[name] = value
-        self.sections.setdefault(_ALL, {})[name] = value.value
 
     def end(self) -> None:
         """No file follows at once."""
@@ -165,9 +171,12 @@ class NodeBuilder:
         found = _Stated(entry.role, self._sections_of_run, unnamed=unnamed)
         declaration = entry.declaration
         component = self.merged.get(name)
-        for parameter in component.parameters if unnamed and component is not None else ():
-            if not parameter.after:
+        found.foreign = name in self.components and self.components[name].gate is not None
+        for parameter in component.parameters if component is not None else ():
+            if not parameter.after and unnamed:
                 found.value_for_all(parameter.name.text, self._at(parameter))
+            elif not parameter.after and found.foreign and parameter.name.text in ROS_PARAMETERS:
+                found.for_all(parameter.name.text, self._at(parameter))
         for namespace, path in self.declarations.parameter_files:
             if not namespace or entry.role.startswith(f"{namespace}/"):
                 self._add_file(found, path)
@@ -207,6 +216,8 @@ class NodeBuilder:
                     found.value_for_all(parameter.name.text, value)
                 elif parameter.after == index:
                     found.value(parameter.name.text, None if defaults else value)
+                    if found.foreign and parameter.name.text in ROS_PARAMETERS:  # the time of a process is one
+                        found.for_all(parameter.name.text, value)
 
     def _add_file(self, found: _Stated, path: Name, named: bool = False) -> None:
         try:

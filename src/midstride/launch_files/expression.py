@@ -55,8 +55,6 @@ _NAMES: Final[dict[str, Any]] = {
     **_MATH,
     "math": _MATH,
     "set": frozenset,
-    "true": True,
-    "false": False,
 }
 _METHODS: Final = frozenset(
     "capitalize count endswith find index isdigit join lower lstrip replace rstrip split startswith strip title "
@@ -81,8 +79,10 @@ def _value(node: ast.expr) -> Any:
     match node:
         case ast.Constant(value=str() | bool() | int() | float() | None as value):
             return value
-        case ast.List(elts=elements) | ast.Tuple(elts=elements):
+        case ast.List(elts=elements):
             return [_value(element) for element in elements]
+        case ast.Tuple(elts=elements):
+            return tuple(_value(element) for element in elements)
         case ast.Set(elts=elements):
             return frozenset(_value(element) for element in elements)
         case ast.Name(id=name) if name in _NAMES:
@@ -154,13 +154,13 @@ def _computed(op: ast.operator, left: Any, right: Any) -> Any:
 
 def _size(value: Any) -> int:
     """How many characters and members there are in a value; of a number, how often it repeats one."""
-    if isinstance(value, (list, frozenset)):
+    if isinstance(value, (list, tuple, frozenset)):
         return len(value) + sum(_size(each) for each in value if not isinstance(each, (int, float)))
     return len(value) if isinstance(value, str) else abs(value) if isinstance(value, int) else 1
 
 
 def _bounded(value: Any) -> Any:
-    large = isinstance(value, (str, list, frozenset)) and _size(value) > MAX_SIZE
+    large = isinstance(value, (str, list, tuple, frozenset)) and _size(value) > MAX_SIZE
     if large or (isinstance(value, int) and value.bit_length() > MAX_BITS):
         raise UnknownValue("a value of the expression is too large")
     if callable(value) or isinstance(value, dict):

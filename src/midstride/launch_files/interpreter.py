@@ -274,6 +274,8 @@ class Interpreter(NodeElements):
         path = self.path(entity, "file", context)
         name = os.path.basename(path)
         given = [(self.text(each, "name", context), each) for each in entity.named("arg", "let")]
+        for _, each in given:
+            self.expect(each, "name value", "")
         if self._depth >= MAX_INCLUDES or self.system.files >= MAX_INCLUSIONS:
             raise UnknownValue(f"`{name}`: launch files include too many others", "include")
         for argument, each in given:  # as in ROS, they stay set after the include

@@ -6,19 +6,20 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from midstride.lang.diagnostic_text import Reporter
-from midstride.lang.parameter_files import SectionInFile, read_sections
+from midstride.lang.parameter_files import SectionInFile, read_sections, sections_of
 from midstride.lang.source import Source, Span
+from midstride.lang.yaml_events import InvalidYaml
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import ParametersGiven
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.launched_nodes import LaunchedNode
-from midstride.model.component import ParameterValue
+from midstride.model.component import ROS_PARAMETERS, ParameterValue
 
 # What rcl takes for the name of a parameter in `-p NAME:=VALUE`.
 _RULE: Final = re.compile(r"(?:(?P<node>[A-Za-z_/~*][\w/~*]*):)?(?P<name>[A-Za-z_][\w./]*):=(?P<value>.*)", re.DOTALL)
@@ -35,11 +36,20 @@ class LaunchedParameters:
     effective: dict[str, ParameterValue] = field(default_factory=dict)
 
 
+class _Read(NamedTuple):
+    """A parameter file, or what comes to one, and its sections."""
+
+    source: Source
+    sections: list[SectionInFile]
+
+
 def written_file(section: str, values: Mapping[str, Any]) -> str:
-    """A parameter file with one section, as launch writes it."""
+    """A parameter file with one section, as launch writes it: with nested values under dotted names."""
     import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
 
-    return str(yaml.safe_dump({section: {"ros__parameters": dict(values)}}, allow_unicode=True, width=100_000))
+    return str(
+        yaml.safe_dump({section: {"ros__parameters": dict(_flat("", values))}}, allow_unicode=True, width=100_000)
+    )
 
 
 class ParameterReader:
@@ -49,40 +59,60 @@ class ParameterReader:
         self._files = files
         self._findings = findings
         self._may_name = may_name
-        self._sections: dict[tuple[str, str | None], list[SectionInFile] | None] = {}
+        self._sections: dict[tuple[str, str | None], _Read | None] = {}
         self._files_read: dict[str, tuple[Span, list[SectionInFile], bool]] = {}
+        # By node: the parameters that launch gives to all nodes of its process, and the sections of its files.
+        self._for_all: dict[str, tuple[list[str], list[SectionInFile]]] = {}
 
     def parameters(self, node: LaunchedNode) -> LaunchedParameters:
         """What ROS gives the node: of the sections that apply to it, in the order in which each is first met, the last.
 
         A file is named if the specification may read it; another one is stated by the values that it has for this node.
         """
-        read = [(given, sections) for given in node.settings if (sections := self._read(given, node)) is not None]
-        effective = _effective((section for _, sections in read for section in sections), node.role)
+        read = [(given, found) for given in node.settings if (found := self._read(given, node)) is not None]
+        effective = self._effective([found for _, found in read], node)
         for name in [name for name, value in effective.items() if value == []]:
             del effective[name]
             message = f"the parameter `{name}` of `{node.role}` is left out: an empty list has no type in ROS"
             self._findings.add("parameters", message, node.span)
-        named = [
-            (given.path, sections)
-            for given, sections in read
+        named = {
+            given.path: found
+            for given, found in read
             if given.path is not None and given.text is None and self._may_name(given.path)
-        ]
-        of_files: dict[str, ParameterValue] = {}
-        for _, sections in named:
-            for section in sections:
-                if section.matches(node.role):
-                    of_files |= {name: value for name, (value, _) in section.values.items()}
-        for given, sections in read:
+        }
+        of_files = self._effective(list(named.values()), node)
+        stated = [section for given, found in read if given.path is None for section in found.sections]
+        for_all = [name for section in stated if "*" in section.pattern for name in section.values]
+        in_files = [section for given, found in read if given.path is not None for section in found.sections]
+        # Of these, the language has the time for all nodes of a process.
+        self._for_all[node.role] = [name for name in for_all if name not in ROS_PARAMETERS], in_files
+        for given, found in read:
             if given.path is not None:
-                is_named = any(given.path == path for path, _ in named)
-                self._files_read.setdefault(given.path, (given.span, sections, is_named))
+                self._files_read.setdefault(given.path, (given.span, found.sections, given.path in named))
         return LaunchedParameters(
-            list(dict.fromkeys(path for path, _ in named)),
+            list(named),
             {name: value for name, value in effective.items() if name not in of_files},
             {name: value for name, value in effective.items() if name in of_files and not _same(value, of_files[name])},
             effective,
         )
+
+    def _effective(self, read: Sequence[_Read], node: LaunchedNode) -> dict[str, ParameterValue]:
+        """The values of a node, as rcl and rclcpp have them after all sections were read."""
+        merged: dict[str, list[SectionInFile]] = {}
+        for section in (section for found in read for section in found.sections):
+            merged.setdefault(section.pattern, []).append(section)
+        if any(_overlap(parts) for parts in merged.values()):  # rcl keeps values of several types under one name
+            try:
+                merged = {section.pattern: [section] for section in sections_of([found.source for found in read])}
+            except InvalidYaml as refused:
+                message = f"ROS refuses the parameters of `{node.role}`, which are read one after the other: {refused}"
+                self._findings.add("parameters", message, node.span, left_out=False)
+        values: dict[str, ParameterValue] = {}
+        for parts in merged.values():
+            if parts[0].matches(node.role):
+                for section in parts:
+                    values |= {name: value for name, (value, _) in section.values.items()}
+        return values
 
     def note_other_sections(self, nodes: Sequence[LaunchedNode]) -> None:
         """Name the sections of files that apply to no node of the specification.
@@ -111,7 +141,32 @@ class ParameterReader:
                 what = f"of `{name}`, what is for no node named here ({few}) is left out"
                 self._findings.add("parameters", f"{what}; {remedy}", span)
 
-    def _read(self, given: ParametersGiven, node: LaunchedNode) -> list[SectionInFile] | None:
+    def note_values_for_all(self, nodes: Sequence[LaunchedNode]) -> None:
+        """Name what launch gives to further nodes of a process as well, where files show that there may be some.
+
+        What a specification states for a node is for that node; only one without a name shares it with the others.
+        """
+        for node in nodes:
+            names, sections = self._for_all[node.role]
+            others = [
+                each.pattern
+                for each in sections
+                if not any(
+                    each.matches(other.role) or f"/{other.role}".endswith(f"/{each.pattern.strip('/')}")
+                    for other in nodes
+                )
+            ]
+            if names and others and not node.unnamed:
+                few, further = (
+                    ", ".join(f"`{each}`" for each in list(dict.fromkeys(them))[:4]) for them in (names, others)
+                )
+                message = (
+                    f"launch gives {few} to all nodes of the process of `{node.role}`, here that node alone has it: if "
+                    f"{further} is in this process, state it there too, in a section of a parameter file"
+                )
+                self._findings.add("parameters", message, node.span, left_out=False)
+
+    def _read(self, given: ParametersGiven, node: LaunchedNode) -> _Read | None:
         if given.rule is not None:
             return self._of_rule(given.rule, given.span, node)
         key = given.path or "", given.text
@@ -119,7 +174,7 @@ class ParameterReader:
             self._sections[key] = self._of_file(given)
         return self._sections[key]
 
-    def _of_rule(self, rule: str, span: Span, node: LaunchedNode) -> list[SectionInFile] | None:
+    def _of_rule(self, rule: str, span: Span, node: LaunchedNode) -> _Read | None:
         match = _RULE.fullmatch(rule)
         if match is not None:
             section = "/**" if match["node"] is None else match["node"]
@@ -127,14 +182,16 @@ class ParameterReader:
             indented = value.replace("\n", "\n      ")
             text = f"{json.dumps(section)}:\n  ros__parameters:\n    {json.dumps(match['name'])}: {indented}\n"
             reporter = Reporter()
-            sections = read_sections(Source("-p", text), reporter)
-            if not reporter.has_errors:
-                return sections
+            source = Source("-p", text)
+            sections = read_sections(source, reporter)
+            # rcl takes a mapping in a file, but not as the value of one parameter.
+            if sections is not None and all(list(each.values) == [match["name"]] for each in sections):
+                return _Read(source, sections)
         message = f"launch passes `-p {shortened(rule)}` to `{node.role}`, which ROS refuses; the parameter is left out"
         self._findings.add("parameters", message, span)
         return None
 
-    def _of_file(self, given: ParametersGiven) -> list[SectionInFile] | None:
+    def _of_file(self, given: ParametersGiven) -> _Read | None:
         name = "parameters" if given.path is None else os.path.basename(given.path)
         if given.text is not None:
             source = Source(name, given.text)
@@ -147,8 +204,8 @@ class ParameterReader:
                 return None
         reporter = Reporter()
         sections = read_sections(source, reporter)
-        if not reporter.has_errors:
-            return sections
+        if sections is not None:
+            return _Read(source, sections)
         if given.path is None:
             message = "parameters are left out: ROS refuses the file that launch writes for them"
         else:
@@ -158,17 +215,23 @@ class ParameterReader:
         return None
 
 
-def _effective(sections: Iterable[SectionInFile], role: str) -> dict[str, ParameterValue]:
-    """The values of a node, as rcl and rclcpp have them after all sections were read."""
-    merged: dict[str, list[SectionInFile]] = {}
-    for section in sections:
-        merged.setdefault(section.pattern, []).append(section)
-    values: dict[str, ParameterValue] = {}
-    for parts in merged.values():
-        if parts[0].matches(role):
-            for section in parts:
-                values |= {name: value for name, (value, _) in section.values.items()}
-    return values
+def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(f"{prefix}{name}.", value)
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _overlap(parts: Sequence[SectionInFile]) -> bool:
+    """Whether sections of several files have parameters in common, or one within another."""
+    seen: set[str] = set()
+    for section in parts:
+        names = {name.partition(".")[0] for name in section.values}
+        if not seen.isdisjoint(names):
+            return True
+        seen |= names
+    return False
 
 
 def _same(first: ParameterValue, second: ParameterValue) -> bool:

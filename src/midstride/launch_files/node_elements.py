@@ -63,8 +63,9 @@ class NodeElements:
         if "ros_args" in entity.attributes:
             words += ["--ros-args", *self._words(entity, "ros_args", context)]
         arguments, ros = split_ros_arguments(words)
+        named = ros.name or stated or None  # the first rule for a name applies, and arguments come first
         node = LaunchedNode(
-            name=self._name(stated or ros.name, _stem(program), entity.span),
+            name=self._name(named, _stem(program), entity.span),
             namespace=self._namespace(ros.namespace if ros.namespace is not None else namespace),
             program=_stem(program),
             command=(program, *arguments),
@@ -74,7 +75,7 @@ class NodeElements:
             package=package,
             gate=_gate(state := "unconfigured" if entity.tag == "lifecycle_node" else ""),
             state=state,
-            unnamed=(stated or ros.name) is None,
+            unnamed=named is None,
         )
         section = f"{namespace.rstrip('/')}/{stated}" if stated and namespace is not None else "/**"
         settings = [
@@ -439,10 +440,16 @@ class NodeElements:
         return value if isinstance(value, bool) else typed_truth(substituted(plain(value), context))
 
     def flag(self, entity: Entity, attribute: str, otherwise: bool) -> bool:
-        """Return whether an attribute is set in which launch carries out no substitution: any text there sets it."""
+        """Return whether an attribute is set in which launch carries out no substitution: any text there sets it.
+
+        In XML, the words of YAML for true and false are no text.
+        """
         value = entity.attributes.get(attribute, otherwise)
         try:
-            return value if isinstance(value, bool) else typed_truth(plain(value))
+            true = value if isinstance(value, bool) else typed_truth(plain(value))
+            if true or not isinstance(value, str) or not entity.typed:
+                return true
+            raise UnknownValue(plain(value))
         except UnknownValue:
             message = (
                 f"launch takes any text for true in `{attribute}` of `{entity.tag}`, `{shortened(plain(value))}` too"
@@ -467,15 +474,15 @@ class NodeElements:
         """``more`` in the namespace ``base``, as an absolute one; None if there is neither. Raises UnknownValue."""
         if more is None:
             return base
-        parts = more if more.startswith("/") else f"{base or ''}/{more}"
+        parts = more if more.startswith("/") else f"{(base or '').rstrip('/')}/{more}"
         self._namespace(parts)
         return parts.rstrip("/") or "/"
 
     def _namespace(self, stated: str | None) -> str:
         """Without outer slashes. Raises UnknownValue."""
         found = (stated or "").strip("/")
-        if found and not all(_NAME.fullmatch(part) for part in found.split("/")):
-            raise UnknownValue(f"`{found}` is not a namespace", "name")
+        if "//" in (stated or "") or (found and not all(_NAME.fullmatch(part) for part in found.split("/"))):
+            raise UnknownValue(f"`{stated}` is not a namespace", "name")
         return found
 
     def _check_package(self, package: str, program: str, span: Span | None, context: Context) -> None:

@@ -43,4 +43,6 @@ def carried_out(
         if status != 0:
             raise UnknownValue(f"it failed: {last}", "python")
         found: dict[str, Any] = json.loads(exchange.read_text(encoding="utf-8"))
+        if "processes" not in found:  # what was given is still there
+            raise UnknownValue(f"it has ended the process that carried it out, with status {status}", "python")
         return found

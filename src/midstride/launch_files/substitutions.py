@@ -132,7 +132,9 @@ def _call(call: SubstitutionCall, context: Context) -> str:
         condition = typed_truth(performed(call.arguments[0], context))
         chosen = call.arguments[1:2] if condition else call.arguments[2:]
         return "".join(performed(argument, context) for argument in chosen)
-    values = [performed(argument, context) for argument in call.arguments]
+    # Launch takes an empty text in quotes for an empty list, and compares with how Python writes that.
+    empty = "[]" if call.name in {"equals", "not-equals"} else ""
+    values = [empty if argument == ("",) else performed(argument, context) for argument in call.arguments]
     function = _FUNCTIONS.get(call.name)
     if function is None:
         raise UnknownValue(f"`{shortened(call.text)}`: the substitution `{call.name}` is not carried out here")

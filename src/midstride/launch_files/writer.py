@@ -66,6 +66,7 @@ class SpecificationDraft:
         lifecycle = with_one_manager(nodes, parameters, self._management, self._findings)
         nodes = lifecycle.nodes
         self._reader.note_other_sections(nodes)
+        self._reader.note_values_for_all(nodes)
         bodies = {node.role: self._body(node, parameters[node.role]) for node in nodes}
         names = _component_names(nodes, bodies)
         lines = [*(f"# {line}" for line in self._heading(imported_from)), f"system {self._name}", ""]

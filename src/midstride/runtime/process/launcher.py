@@ -235,13 +235,15 @@ class Launcher:
             self._asked[name] = (await self._welcome(name)).stopping
             self._life.record(name, ProcessEvent.REGISTERED)
         except (Exception, asyncio.CancelledError) as error:
+            exiting = self._exits.get(name)
+            itself = exiting is not None and exiting.done() and not exiting.cancelled()  # it is not ended here
             await self.abandon(name)
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
                 ended = self._life[name].exit if self._life.has_exited(name) else None
-                hint = "" if ended is None else maybe_done(instance.component, ended)
-                if ended is not None and wording.exception_in(ended.log_tail) is not None:
-                    raise StartFailed(_describe_exit(ended, "before it was accepted")) from error
-                raise StartFailed(f"{name} registered but could not be accepted: {error}{hint}") from error
+                if ended is not None and (itself or wording.exception_in(ended.log_tail) is not None):
+                    hint = maybe_done(instance.component, ended)
+                    raise StartFailed(_describe_exit(ended, f"before it was accepted{hint}")) from error
+                raise StartFailed(f"{name} registered but could not be accepted: {error}") from error
             raise
         finally:
             self._forget_start(name)

@@ -36,6 +36,9 @@ _TRANSITIONS: Final = {
     7: ("shutdown", "active", "shuttingdown", "finalized"),
 }
 
+# What a launch file may raise; one that ends the interpreter is left out, and the others are carried out.
+_RAISED: Final = (Exception, SystemExit)
+
 # A file and a line.
 Place = tuple[str, int]
 
@@ -87,6 +90,9 @@ class _Visitor:
         self._lifecycle_nodes: list[tuple[Any, dict[str, Any]]] = []
         self._state_handlers: list[tuple[Any, Place]] = []
         self.files = 0
+        # What follows the start or the end of an action that has not been carried out: kind, actions, locals, place.
+        self._carried_out: set[int] = set()
+        self._waiting: dict[int, list[tuple[str, Iterable[Any], dict[str, Any], Place]]] = {}
 
     def note(self, kind: str, message: str, place: Place | None = None) -> None:
         """A finding, at the action that is visited unless stated."""
@@ -139,9 +145,13 @@ class _Visitor:
             self._carry_out(entity)
         except _Refused as error:
             self.note(error.kind, str(error))
-        except Exception as error:
+        except _RAISED as error:
             self.note("python", f"`{type(entity).__name__}` is left out: {_described(error)}")
         finally:
+            self._carried_out.add(id(entity))
+            if not isinstance(entity, self._actions.ExecuteLocal):
+                for _, actions, variables, place in self._waiting.pop(id(entity), ()):
+                    self._postpone(self._now(), f"when `{type(entity).__name__}` is done", actions, variables, place)
             self._place = outer
 
     def _carry_out(self, entity: Any) -> None:
@@ -191,7 +201,7 @@ class _Visitor:
         source = entity.launch_description_source
         try:
             description = source.get_launch_description(self.context)
-        except Exception as error:
+        except _RAISED as error:
             file = str(source.location)
             where = _line_in(error, file)
             self.note("python" if where else "include", f"`{os.path.basename(file)}`: {_described(error)}", where)
@@ -231,9 +241,17 @@ class _Visitor:
 
     # -- later -----------------------------------------------------------------------------------------------
 
-    def _postpone(self, time: float, how: str, actions: Iterable[Any]) -> None:
-        after = {"how": how, "locals": dict(self.context.get_locals_as_dict())}
-        self._later.append((time, len(self._later), list(actions), after, self._place))
+    def _postpone(
+        self,
+        time: float,
+        how: str,
+        actions: Iterable[Any],
+        variables: dict[str, Any] | None = None,
+        place: Place | None = None,
+    ) -> None:
+        """``variables``: launch's locals for the actions; these and the ``place`` are those of now unless stated."""
+        after = {"how": how, "locals": dict(self.context.get_locals_as_dict()) if variables is None else variables}
+        self._later.append((time, len(self._later), list(actions), after, place or self._place))
 
     def _now(self) -> float:
         if self._after is None:
@@ -258,11 +276,22 @@ class _Visitor:
         if not actions or kind not in {"OnProcessExit", "OnProcessStart", "OnExecutionComplete"}:
             function = getattr(handler, "_OnActionEventBase__on_event", None)
             return self._function(function, f"on an event (`{kind}`) of `{label}`", self._event(kind, target))
-        if kind == "OnProcessExit":
-            self._postpone(_AT_EXIT, f"when `{label}` has ended", actions)
+        follow = (kind, actions, dict(self.context.get_locals_as_dict()), self._place)
+        begun = self._labels if isinstance(target, self._actions.ExecuteLocal) else self._carried_out
+        if isinstance(target, self._launch.Action) and id(target) not in begun:  # until then, if ever
+            self._waiting.setdefault(id(target), []).append(follow)
+        elif kind != "OnExecutionComplete":
+            self._follow(label, *follow)
         else:
-            self._postpone(self._now(), f"when `{label}` has started", actions)
+            self.note("unsupported", f"what follows the end of `{label}`, but is registered after it, is left out")
         return None
+
+    def _follow(self, label: str, kind: str, actions: Iterable[Any], variables: dict[str, Any], place: Place) -> None:
+        """Postpone what follows the start or the end of a process that is started now."""
+        if kind in {"OnProcessExit", "OnExecutionComplete"}:
+            self._postpone(_AT_EXIT, f"when `{label}` has ended", actions, variables, place)
+        else:
+            self._postpone(self._now(), f"when `{label}` has started", actions, variables, place)
 
     def _event(self, kind: str, action: Any) -> Any:
         """An event as launch would send it where all goes well; None for another kind."""
@@ -297,7 +326,7 @@ class _Visitor:
         if callable(function) and event is not None:
             try:
                 found = function(event, self.context)
-            except Exception as error:
+            except _RAISED as error:
                 message = f"what a function does {when} is left out, and not known: {_described(error)}"
                 return self.note("unsupported", message, place)
             started = list(found) if isinstance(found, (list, tuple)) else [] if found is None else [found]
@@ -405,6 +434,8 @@ class _Visitor:
             label = self._text(described.name)
         found["label"] = label
         self._labels[id(action)] = label
+        for follow in self._waiting.pop(id(action), ()):
+            self._follow(label, *follow)
         if self._after is not None:
             found["after"] = {"how": self._after["how"], "time": self._after["time"]}
         if action._ExecuteLocal__respawn:
