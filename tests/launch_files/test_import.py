@@ -550,6 +550,13 @@ def test_what_holds_an_output_open_does_not_hold_up_the_end() -> None:
         python_files.carried_out("a.launch.py", {}, dict(os.environ), (sys.executable, "-c", script))
 
 
+def test_a_launch_file_with_a_line_break_in_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "one\ntwo\x1b.launch.xml"
+    file.write_text('<launch><node exec="./a" name="a"/></launch>')
+    found = imported(file)
+    assert "# one\\ntwo" in found.text and "\x1b" not in found.text and found.nodes == 1
+
+
 def test_names_that_are_words_of_the_language(tmp_path: Path) -> None:
     """A namespace keeps its name, as a path; parameters do anyway."""
     found = of_xml(

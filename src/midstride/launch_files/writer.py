@@ -23,6 +23,7 @@ from midstride.launch_files.launched_parameters import LaunchedParameters, Param
 from midstride.model.component import ParameterValue
 from midstride.model.component_rules import MAX_NUMBER
 from midstride.model.lifecycle_management import Management
+from midstride.model.printable import on_one_line
 
 MAX_STRING: Final = 8000
 # Longer text is not read in a specification, such as a robot's description.
@@ -69,13 +70,13 @@ class SpecificationDraft:
         self._reader.note_values_for_all(nodes)
         bodies = {node.role: self._body(node, parameters[node.role]) for node in nodes}
         names = _component_names(nodes, bodies)
-        lines = [*(f"# {line}" for line in self._heading(imported_from)), f"system {self._name}", ""]
+        lines = [*(f"# {on_one_line(line)}" for line in self._heading(imported_from)), f"system {self._name}", ""]
         written: set[str] = set()
         for node in nodes:
             component = names[node.role]
             if component not in written:
                 written.add(component)
-                lines += [f"# {_place(node)}", f"component {component} {{", *bodies[node.role], "}", ""]
+                lines += [f"# {on_one_line(_place(node))}", f"component {component} {{", *bodies[node.role], "}", ""]
         for namespace in dict.fromkeys(node.namespace for node in sorted(nodes, key=lambda node: node.namespace != "")):
             if namespace:
                 word = "/" if namespace in RESERVED else ""  # as a path, it is a name
