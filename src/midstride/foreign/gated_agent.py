@@ -189,7 +189,9 @@ class ForeignAgent:
         if up or not before:
             return None
         missing = lacks(graph(), record.node, before, old)
-        return f"node {record.node} is not up within {longest:g} s: {old} {', '.join(missing)}, and it does not"
+        late = f"if it takes longer to start, state `takes {2 * longest:g} s` after its `run` command"
+        what = f"{old} {', '.join(missing)}, and it does not"
+        return f"node {record.node} is not up within {longest:g} s: {what}; {late}"
 
     async def _missing(self, gates: Gates) -> list[str]:
         """The ports for which the node creates no endpoint in the time that it has.

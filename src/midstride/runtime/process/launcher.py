@@ -242,7 +242,7 @@ class Launcher:
                 ended = self._life[name].exit if self._life.has_exited(name) else None
                 if ended is not None and (itself or wording.exception_in(ended.log_tail) is not None):
                     hint = maybe_done(instance.component, ended)
-                    raise StartFailed(_describe_exit(ended, f"before it was accepted{hint}")) from error
+                    raise StartFailed(_describe_exit(ended, "before it was accepted", hint)) from error
                 raise StartFailed(f"{name} registered but could not be accepted: {error}") from error
             raise
         finally:
@@ -280,7 +280,7 @@ class Launcher:
             return registering.result()
         if exiting.done():
             ended = exiting.result()
-            raise StartFailed(_describe_exit(ended, f"before it registered{maybe_done(instance.component, ended)}"))
+            raise StartFailed(_describe_exit(ended, hint=maybe_done(instance.component, ended)))
         if waited is None:
             raise StartFailed(f"{name} was stopped (SIGSTOP) before it registered, and not continued for {STOPPED:g} s")
         where = f"was started with `{run}`" if run else "is started elsewhere"
@@ -550,8 +550,8 @@ def maybe_done(component: ComponentSpec, ended: Exited) -> str:
     return '; if it had done its work then, state it: `run "…" once`'
 
 
-def _describe_exit(event: Exited, when: str = "before it registered") -> str:
+def _describe_exit(event: Exited, when: str = "before it registered", hint: str = "") -> str:
     how = wording.exited(event.status)
     tail = event.log_tail.strip()
     words = f"{event.instance} {how} {when}"
-    return wording.with_log(words, tail) if tail else f"{words} and wrote nothing to its log"
+    return wording.with_log(f"{words}{hint}", tail) if tail else f"{words} and wrote nothing to its log{hint}"
