@@ -54,8 +54,8 @@ async def require_unmanaged_at_its_end(client: ComponentClient, instance: str, c
 
 
 async def look_at_managers(client: ComponentClient, instance: str, component: ComponentSpec, seconds: float) -> None:
-    """Have the agent of a node without Midstride's API look at the graph; others cannot be managed."""
-    if component.gate is None or component.gate == "relay" or component.once or client.life.is_gone(instance):
+    """Have what answers for a node without Midstride's API look at the graph; others cannot be managed."""
+    if component.gate is None or component.once or client.life.is_gone(instance):
         return
     with suppress(BackendError, CommandRefused):  # what it reported last counts
         await client.peek(instance, seconds)
