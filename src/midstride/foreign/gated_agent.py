@@ -91,7 +91,6 @@ class ForeignAgent:
         self._before = before
         self._predecessor = predecessor
         self._managers = managers
-        self._adopted = record.welcomed  # an earlier agent has answered for it
         self._shown: object = None  # what the graph showed of it last, until it shows nothing new any more
         self._shown_since = 0.0
         self._declared = DeclaredEndpoints(self.node.component, record.topics, record.node)
@@ -262,16 +261,18 @@ class ForeignAgent:
         return self._managers is not None and self.node.record.instance in self._managers.starting
 
     async def _look(self, seconds: float) -> None:
-        """Look at the graph, and again until it is known whether the node is managed, no longer than ``seconds``.
-
-        One that has just been started, and is not shown yet, cannot be: only for one that ran before is that waited.
-        """
+        """Look at the graph, and again until it is known whether the node is managed, no longer than ``seconds``."""
         node, clock = self.node, asyncio.get_running_loop().time
         deadline = clock() + seconds
         await self._look_at_graph()
-        while not node.managed and (node.starting or (self._adopted and not node.looked)) and clock() < deadline:
+        while not node.managed and (node.starting or not self._has_shown_itself()) and clock() < deadline:
             await asyncio.sleep(min(FIRST_LOOK, max(0.0, deadline - clock())))
             await self._look_at_graph()
+
+    def _has_shown_itself(self) -> bool:
+        """Whether the graph shows what the node is, as for FIRST_LOOK without news; others may see it sooner."""
+        since = asyncio.get_running_loop().time() - self._shown_since
+        return not self._may_show_more() or (self.node.looked and since >= FIRST_LOOK)
 
     async def _look_at_graph(self) -> None:
         """Note what it shows of the node. What it has not shown for long enough, it never will, as without ROS."""
