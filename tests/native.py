@@ -40,6 +40,15 @@ def baton_steps(path: Path) -> Any:
     return library
 
 
+def requests_steps(path: Path) -> Any:
+    """The gate library at ``path``, with what its steps make of the words of a role and of a client as functions."""
+    library, number = load_library(path), c_uint32
+    library.midstride_requests_word.argtypes = [c_uint64, c_int, number, c_int]
+    library.midstride_requests_word.restype = c_uint64
+    library.midstride_requests_claim.argtypes = [c_uint64, number, ctypes.POINTER(c_uint64)]
+    return library
+
+
 def environment_of_compiled(base: Mapping[str, str]) -> dict[str, str]:
     """That of a program that :func:`compiled` has made. With wheels, rclpy has set the path of their libraries."""
     paths = [base.get("LD_LIBRARY_PATH", ""), sysconfig.get_config_var("LIBDIR")]

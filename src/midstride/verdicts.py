@@ -245,6 +245,13 @@ def ends_with(instance: str, served: Sequence[str], *, planned: bool) -> Assessm
     return Assessment(instance, "not_measurable", words)
 
 
+def answered_if_offered(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
+    """The services of a node without Midstride's API are answered by its successor, a node of another component."""
+    verb = "is answered" if planned else "was answered"
+    words = f"requests of others: {listed(served)} {verb} by the replacement of {instance} only if that offers it"
+    return Assessment(instance, "not_measurable", words)
+
+
 def goals_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> Assessment:
     """The goals that a component with Midstride's API has accepted do not move to its successor."""
     verb = "ended" if not planned else "end"

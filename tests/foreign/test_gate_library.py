@@ -30,6 +30,7 @@ from midstride.foreign.page import (
     PageLayout,
     PageNode,
     PagePort,
+    PageRequests,
     PortFlag,
 )
 from midstride.node.handover.baton import BatonState, BatonStep, SharedSlot
@@ -49,9 +50,12 @@ def started(lab: Lab, period: int, flags: PortFlag) -> tuple[int, int, int]:
 
 
 def test_the_layout_is_that_of_the_library(gate_library: Path) -> None:
-    sizes = (ctypes.c_uint32 * 5)()
+    sizes = (ctypes.c_uint32 * 6)()
     ctypes.CDLL(str(gate_library)).midstride_layout(sizes)
-    assert list(sizes) == [VERSION, *(ctypes.sizeof(each) for each in (PageLayout, PageBaton, PageNode, PagePort))]
+    assert list(sizes) == [
+        VERSION,
+        *(ctypes.sizeof(each) for each in (PageLayout, PageBaton, PageNode, PagePort, PageRequests)),
+    ]
 
 
 @pytest.mark.parametrize(("period", "flags"), [(0, TIMED), (MS, RATED)], ids=["flat out", "1 kHz"])

@@ -91,7 +91,7 @@ def test_no_port_is_given_to_two_nodes(tmp_path: Path, gate_library: Path) -> No
 def test_a_server_has_a_port_beside_a_publisher_of_that_name(lab: Lab) -> None:
     index = lab.page.allocate("both")
     lab.page.set_ports(index, [("/chat", SERVER), ("/chat", OUTPUT)])
-    server, output = lab.page.ports(index)
+    (output,), server = lab.page.ports(index), next(port for port in lab.page.every_port() if port.kind == SERVER)
     output.flags, output.baton, output.gate, server.gate = RATED, lab.page.new_baton(index), OPEN, CLOSED
     lab.start(index, "/chat", str(MS), "1000000")
     until(lambda: output.passed > 10, "it does not publish")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
-from midstride.model.component import ComponentSpec
+from midstride.model.component import ComponentSpec, Gate
 from midstride.plan.request import PlanRequest
 from midstride.runtime.change.lost_endpoints import two_writers, what_ended
 from midstride.runtime.instance_life import LatestState
@@ -100,3 +100,34 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() ->
         "requests and goals of talker that are under way at ROS action /pick",
         "which instance writes on /diag",
     ]
+
+
+@pytest.mark.parametrize(
+    ("gate", "component", "found"),
+    [
+        ("preload", "Mapper", ["/mapper/save and ROS action /dock end with mapper"]),
+        ("preload", "Other", ["/mapper/save and ROS action /dock end with mapper", "/reset is answered by"]),
+        ("none", "Mapper", ["/mapper/save, service /reset and ROS action /dock end with mapper"]),
+    ],
+)
+def test_a_service_that_the_successor_answers_does_not_end(gate: Gate, component: str, found: list[str]) -> None:
+    """The name of the old node is gone with it, and its goals are."""
+    state = ComponentState(
+        instance="mapper",
+        uuid="",
+        pid=1,
+        revision=1,
+        functionalities={},
+        ports={},
+        parameters={},
+        stopping=0.0,
+        node="/mapper",
+        serves=["service /mapper/save", "service /reset", "ROS action /dock"],
+    )
+    old, new = (ComponentSpec.of(kind, run="mapper", gate=gate) for kind in ("Mapper", component))
+    known = LastKnown(LatestState(state, 0.0), ())
+    said = [each.words for each in what_ended("mapper", old, known, planned=True, beside=new)]
+    assert len(said) == len(found)
+    assert all(part in words for part, words in zip(found, said, strict=True)), said
+    (words,) = (each.words for each in what_ended("mapper", old, known, planned=False))
+    assert "service /mapper/save, service /reset and ROS action /dock ended with mapper" in words

@@ -38,6 +38,20 @@
 #define BAD_ALLOC 10
 /* RCL_RET_SUBSCRIPTION_TAKE_FAILED: there was no message. */
 #define TAKE_FAILED 401
+/* RCL_RET_SERVICE_TAKE_FAILED: there was no request. */
+#define NO_REQUEST 601
+/* RCL_RET_TIMEOUT */
+#define TIMED_OUT 2
+/* For how long a request is held that no node has claimed (ns), and how many of a service are held. */
+#define HOLD INT64_C(5000000000)
+#define MOST_HELD 1000u
+/* After how long the node that answered before answers a request that its successor has not received (ns). */
+#define LEFT_OVER INT64_C(300000000)
+/* How long a wait without a guard condition, which cannot be ended, lasts while requests are held (ns). */
+#define SHORT_WAIT INT64_C(10000000)
+/* How many requests a server's queue has room for at least. Of a shallower one, requests fall out while a busy executor
+ * does not take them, as while a node starts. */
+#define QUEUE 200u
 
 typedef struct {
   void *(*allocate)(size_t, void *);
@@ -67,6 +81,52 @@ struct qos {
 #define TRANSIENT_LOCAL 1
 /* How many messages of a publisher are kept at most that were written behind the gate. */
 #define MOST_KEPT 1000u
+
+/* rcl_service_options_t, up to Kilted: of its QoS profile, only the queue is of interest here. */
+struct service_options {
+  int history;
+  size_t depth;
+  uint64_t rest[9];
+  allocator memory;
+};
+
+/* rosidl_service_type_support_t, from Iron on. */
+struct service_type {
+  const char *identifier;
+  const void *data;
+  const void *function;
+  const void *request;
+};
+
+/* rmw_request_id_t */
+struct request_id {
+  uint8_t client[16];
+  int64_t number;
+};
+
+/* rmw_service_info_t */
+struct request_info {
+  int64_t sent;
+  int64_t received;
+  struct request_id id;
+};
+
+/* rcl_wait_set_t */
+struct wait_set {
+  const void **subscriptions;
+  size_t subscription_count;
+  const void **guards;
+  size_t guard_count;
+  const void **timers;
+  size_t timer_count;
+  const void **clients;
+  size_t client_count;
+  const void **services;
+  size_t service_count;
+  const void **events;
+  size_t event_count;
+  void *impl;
+};
 
 /* The real functions, each found when it is first called: librcl may be loaded after this library. */
 static void *real(_Atomic(void *) *known, const char *name)
@@ -118,7 +178,19 @@ REAL(int, rcl_take_sequence, const void *, size_t, void *, void *, void *)
 REAL(int, rcl_take_serialized_message, const void *, void *, void *, void *)
 REAL(int, rcl_take_loaned_message, const void *, void **, void *, void *)
 REAL(int, rcl_return_loaned_message_from_subscription, const void *, void *)
+REAL(int, rcl_service_init, void *, const void *, const void *, const char *, const void *)
+REAL(int, rcl_service_fini, void *, void *)
+REAL(const char *, rcl_service_get_service_name, const void *)
+REAL(void *, rcl_service_configure_service_introspection, void)
+REAL(int, rcl_service_set_on_new_request_callback, const void *, const void *, const void *)
+REAL(int, rcl_count_clients, const void *, const char *, size_t *)
+REAL(int, rcl_take_request, const void *, struct request_id *, void *)
+REAL(int, rcl_take_request_with_info, const void *, struct request_info *, void *)
+REAL(int, rcl_send_response, const void *, struct request_id *, void *)
+REAL(int, rcl_wait, struct wait_set *, int64_t)
+REAL(int, rcl_trigger_guard_condition, const void *)
 REAL(int, rmw_serialize, const void *, const void *, void *)
+REAL(int, rmw_deserialize, const void *, const void *, void *)
 REAL(void, rcutils_reset_error, void)
 
 /* -- the page ------------------------------------------------------------------------------------------------------- */
@@ -129,7 +201,17 @@ struct kept {
   serialized bytes;
 };
 
-/* A publisher or subscription of this process whose topic is in the page. */
+/* A request that this node may have to answer later. */
+struct held {
+  struct held *next;
+  struct request_info info;
+  serialized bytes;
+  int64_t at;
+  bool claimed;   /* it is this node's to answer */
+  bool announced; /* to the callback of its server */
+};
+
+/* A publisher, subscription or server of this process whose topic or service is in the page. */
 struct entry {
   _Atomic(const void *) endpoint; /* NULL: free; REMOVED: removed */
   struct port *port;
@@ -139,6 +221,13 @@ struct entry {
   bool overdue; /* see `enter` */
   struct kept *kept, **kept_end; /* the last messages that were written behind the gate, the oldest first */
   unsigned keeping, most_kept;   /* how many there are, and may be */
+  /* Of a server: */
+  const void *owner; /* its node */
+  struct held *held, **end; /* in the order of arrival. With `lock` */
+  _Atomic uint32_t holding; /* how many */
+  void (*callback)(const void *, size_t);
+  const void *context;
+  bool outlasts; /* its requests may take as long as a goal */
 };
 
 #define ENTRIES 256u
@@ -161,6 +250,7 @@ static struct used_port {
   struct port *port;
   unsigned me;
   uint32_t matched;
+  uint32_t waiting;
 } *used_ports;
 static unsigned used_count;
 
@@ -176,6 +266,12 @@ static size_t length_with(unsigned ports)
   return sizeof(struct page) + ports * sizeof(struct port);
 }
 
+/* The requests of a role are behind the place of the last port. */
+static struct requests *requests_at(struct page *shared, unsigned number)
+{
+  return (struct requests *)((char *)shared + length_with(MOST_PORTS)) + number;
+}
+
 /* The page in `file`; NULL where its layout is not that of this library. `version`: which it has, 0: none. */
 static struct page *map_page(int file, uint32_t *version)
 {
@@ -189,7 +285,7 @@ static struct page *map_page(int file, uint32_t *version)
       head.port_size != sizeof(struct port) || fstat(file, &status) != 0 ||
       status.st_size < (off_t)length_with(head.room))
     return NULL;
-  struct page *found = mmap(NULL, length_with(MOST_PORTS), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  struct page *found = mmap(NULL, length_with(MOST_PORTS) + NODES * sizeof(struct requests), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
   return found == MAP_FAILED ? NULL : found;
 }
 
@@ -333,13 +429,15 @@ static struct port *port_of(unsigned me, const char *topic, uint32_t kind)
   uint32_t number = 0;
   for (unsigned index = 0; index < atomic_load(&page->head.room); index++) {
     struct port *port = &page->ports[index];
-    if (atomic_load(&port->node) != me || atomic_load(&port->kind) == NODE)
+    uint32_t found = atomic_load(&port->kind);
+    if (atomic_load(&port->node) != me || found == NODE)
       continue;
-    if (atomic_load(&port->kind) == kind && strncmp(port->topic, topic, NAME) == 0)
+    if (found == kind && strncmp(port->topic, topic, NAME) == 0)
       return port;
-    number++;
+    number += found != SERVER;
   }
-  struct port *port = listed(me, topic) ? claim(page, descriptor, me) : NULL;
+  bool wanted = kind == SERVER ? strlen(topic) < NAME : listed(me, topic);
+  struct port *port = wanted ? claim(page, descriptor, me) : NULL;
   if (port) {
     strcpy(port->topic, topic);
     port->number = number;
@@ -375,8 +473,8 @@ static unsigned most_kept(const void *publisher)
   return qos->history == KEEP_LAST && qos->depth < MOST_KEPT ? (unsigned)qos->depth : MOST_KEPT;
 }
 
-/* Where `topic` is a port of this node, remember the endpoint, and have the helper thread run. False where there is no
- * memory for that: the endpoint would have no gate. */
+/* Where `topic` is a port of this node, or a service, remember the endpoint, and have the helper thread run. False where
+ * there is no memory for that: the endpoint would have no gate. */
 static bool add(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type)
 {
   pthread_mutex_lock(&lock);
@@ -403,6 +501,12 @@ static bool add(const void *endpoint, const void *owner, const char *topic, uint
   entry->kept_end = &entry->kept;
   entry->keeping = 0;
   entry->most_kept = kind == OUTPUT ? most_kept(endpoint) : 0;
+  entry->owner = owner;
+  entry->held = NULL;
+  entry->end = &entry->held;
+  entry->callback = NULL;
+  entry->outlasts = kind == SERVER && strstr(topic, "/_action/get_result") != NULL;
+  atomic_store(&entry->holding, 0);
   atomic_store_explicit(&entry->endpoint, endpoint, memory_order_release);
   atomic_fetch_add(&port->endpoints, 1);
   if (!helping) {
@@ -430,6 +534,23 @@ static void discard(struct entry *entry, unsigned remaining)
     entry->kept_end = &entry->kept;
 }
 
+/* No longer hold the request at `place`, which is returned. With `lock`. */
+static struct held *unlink_held(struct entry *entry, struct held **place)
+{
+  struct held *held = *place;
+  *place = held->next;
+  if (entry->end == &held->next)
+    entry->end = place;
+  atomic_fetch_sub(&entry->holding, 1);
+  return held;
+}
+
+static void free_held(struct held *held)
+{
+  free(held->bytes.buffer);
+  free(held);
+}
+
 static void forget(const void *endpoint)
 {
   struct entry *entry = find(endpoint);
@@ -440,6 +561,8 @@ static void forget(const void *endpoint)
   atomic_fetch_sub(&entry->port->endpoints, 1);
   atomic_store(&entry->port->kept, 0);
   discard(entry, 0);
+  while (entry->held)
+    free_held(unlink_held(entry, &entry->held));
   pthread_mutex_unlock(&lock);
 }
 
@@ -603,6 +726,345 @@ static void publish_kept(struct entry *entry)
   atomic_store(&entry->port->kept, 0);
 }
 
+/* -- requests to the services of the node ---------------------------------------------------------------------------- */
+
+/* The executors that wait, each with a guard condition that ends its wait; NULL where it has none. With `lock`. */
+struct waiting {
+  struct waiting *next;
+  const void *guard;
+};
+static struct waiting *waits;
+static pthread_mutex_t client_lock = PTHREAD_MUTEX_INITIALIZER;
+
+/* Those of the role of the node `me` (index + 1); NULL where it answers each that arrives. */
+static struct requests *requests_of(unsigned me)
+{
+  uint32_t number = atomic_load_explicit(&page->nodes[me - 1].requests, memory_order_acquire);
+  return number && number <= NODES ? requests_at(page, number - 1) : NULL;
+}
+
+/* Whether the process of the node `index` (+ 1) has ended. A process does not see its own locks. */
+static bool has_ended(unsigned index)
+{
+  uint32_t pid = atomic_load(&page->nodes[index - 1].pid);
+  return pid && pid != (uint32_t)getpid() && is_dead(descriptor, index);
+}
+
+/* Whether the node `other` (index + 1) has the service of `entry`, too. */
+static bool has_service(unsigned other, const struct entry *entry)
+{
+  for (unsigned index = 0; index < atomic_load(&page->head.room); index++) {
+    struct port *port = &page->ports[index];
+    if (atomic_load(&port->node) == other && atomic_load(&port->kind) == SERVER && atomic_load(&port->endpoints) &&
+        strncmp(port->topic, entry->port->topic, NAME) == 0)
+      return true;
+  }
+  return false;
+}
+
+/* Whether the node of `entry` answers the requests to its service now. */
+static bool answers(struct requests *requests, const struct entry *entry)
+{
+  unsigned me = entry->me;
+  uint64_t word = atomic_load(&requests->word), next;
+  do {
+    unsigned before = BEFORE(word);
+    if (ANSWERING(word) == me) {
+      if (word & BEGUN)
+        return true;
+      if (before && atomic_load(&page->nodes[before - 1].unanswered) && now_ns() < atomic_load(&requests->until) &&
+          !has_ended(before))
+        return !has_service(before, entry);
+      next = word | BEGUN;
+    } else if (before == me && has_ended(ANSWERING(word))) {
+      next = requests_take_back(word, me);
+    } else {
+      return !has_service(ANSWERING(word), entry);
+    }
+  } while (!atomic_compare_exchange_weak(&requests->word, &word, next));
+  return true;
+}
+
+/* What distinguishes a client, from the identity of its writer; not 0. */
+static uint64_t client_key(const struct request_id *id)
+{
+  uint64_t parts[2], key = 0;
+  memcpy(parts, id->client, sizeof parts);
+  for (unsigned part = 0; part < 2; part++) { /* SplitMix64 */
+    key += parts[part] + UINT64_C(0x9e3779b97f4a7c15);
+    key = (key ^ key >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+    key = (key ^ key >> 27) * UINT64_C(0x94d049bb133111eb);
+    key ^= key >> 31;
+  }
+  return key ? key : 1;
+}
+
+/* Have the other processes wait, or go on. The kernel releases the lock of one that dies; one that is stopped while it has
+ * the lock is not waited for. */
+static void lock_clients(struct requests *requests, short type)
+{
+  struct flock whole = {.l_type = type, .l_whence = SEEK_SET, .l_len = 1};
+  whole.l_start = NODES + (requests - requests_at(page, 0));
+  int64_t deadline = now_ns() + LOOK;
+  while (fcntl(descriptor, F_SETLK, &whole) != 0 && now_ns() < deadline)
+    sched_yield();
+}
+
+static struct client *find_client(struct requests *requests, uint64_t key)
+{
+  for (unsigned step = 0; step < CLIENTS; step++) {
+    struct client *client = &requests->clients[(key + step) % CLIENTS];
+    uint64_t known = atomic_load_explicit(&client->id, memory_order_acquire);
+    if (known == key)
+      return client;
+    if (!known)
+      return NULL;
+  }
+  return NULL;
+}
+
+/* The part of a client. Where all are used, it is that of the one from which nothing has been heard for longest. */
+static struct client *client_of(struct requests *requests, uint64_t key)
+{
+  struct client *found = find_client(requests, key);
+  if (found)
+    return found;
+  pthread_mutex_lock(&client_lock);
+  lock_clients(requests, F_WRLCK);
+  found = find_client(requests, key);
+  if (!found) {
+    struct client *oldest = NULL;
+    for (unsigned step = 0; step < CLIENTS; step++) {
+      struct client *client = &requests->clients[(key + step) % CLIENTS];
+      if (!atomic_load(&client->id)) {
+        oldest = client;
+        break;
+      }
+      if (!oldest || atomic_load(&client->last) < atomic_load(&oldest->last))
+        oldest = client;
+    }
+    found = oldest;
+    atomic_store(&found->word, key >> 48 << 48); /* its tag: a step for the client before fails */
+    atomic_store(&found->seen, 0);
+    atomic_store(&found->last, now_ns());
+    atomic_store_explicit(&found->id, key, memory_order_release);
+  }
+  lock_clients(requests, F_UNLCK);
+  pthread_mutex_unlock(&client_lock);
+  return found;
+}
+
+/* Claim a request; whether this call was the first to do so. `only_look`: do not. */
+static bool claim_request(struct requests *requests, const struct request_id *id, bool only_look)
+{
+  uint64_t key = client_key(id);
+  for (;;) {
+    struct client *client = client_of(requests, key);
+    uint64_t word = atomic_load(&client->word), next;
+    while (TAG(word) == key >> 48) {
+      if (!requests_claim(word, (uint32_t)id->number, &next))
+        return false;
+      if (only_look)
+        return true;
+      if (atomic_compare_exchange_weak(&client->word, &word, next)) {
+        atomic_store_explicit(&client->last, now_ns(), memory_order_relaxed);
+        return true;
+      }
+    }
+  }
+}
+
+#define SEEN(index, number) ((uint64_t)(index) << 48 | ((uint64_t)(number) & UINT64_C(0xffffffffffff)))
+
+/* Note the first request of a client that a successor has received: it receives all later ones, and the node before it
+ * answers only what came earlier. */
+static void note_seen(struct requests *requests, unsigned me, const struct request_id *id)
+{
+  uint64_t word = atomic_load(&requests->word);
+  if (BEFORE(word) == me || (ANSWERING(word) == me && !BEFORE(word)))
+    return;
+  struct client *client = client_of(requests, client_key(id));
+  atomic_store_explicit(&client->last, now_ns(), memory_order_relaxed);
+  if (atomic_load(&client->seen) >> 48 != me)
+    atomic_store(&client->seen, SEEN(me, id->number));
+}
+
+/* Hold a request: another node answers, or is to. Not where it cannot be copied: then it is left to the other one. */
+static void hold(struct entry *entry, const struct request_info *info, const void *request)
+{
+  struct held *held = calloc(1, sizeof *held), *surplus = NULL;
+  if (!held)
+    return;
+  held->info = *info;
+  held->at = now_ns();
+  held->bytes.memory = (allocator){allocate, deallocate, reallocate, zero_allocate, NULL};
+  if (real_rmw_serialize()(request, entry->type, &held->bytes) != 0) {
+    real_rcutils_reset_error()();
+    free_held(held);
+    return;
+  }
+  pthread_mutex_lock(&lock);
+  *entry->end = held;
+  entry->end = &held->next;
+  if (atomic_fetch_add(&entry->holding, 1) == MOST_HELD)
+    surplus = unlink_held(entry, &entry->held);
+  pthread_mutex_unlock(&lock);
+  if (surplus)
+    free_held(surplus);
+}
+
+static void answering(struct entry *entry)
+{
+  count(entry->port, true);
+  if (!entry->outlasts)
+    atomic_fetch_add(&page->nodes[entry->me - 1].unanswered, 1);
+}
+
+void midstride_ring(struct page *shared, unsigned index);
+
+/* A request of this node needs no more to be waited for. */
+static void answered(struct entry *entry, struct requests *requests)
+{
+  struct node *own = &page->nodes[entry->me - 1];
+  atomic_store(&own->answered, now_ns());
+  if (entry->outlasts)
+    return;
+  uint32_t left = atomic_load(&own->unanswered);
+  while (left && !atomic_compare_exchange_weak(&own->unanswered, &left, left - 1))
+    ;
+  uint64_t word = atomic_load(&requests->word);
+  if (left == 1 && BEFORE(word) == entry->me && ANSWERING(word) && !(word & BEGUN))
+    midstride_ring(page, ANSWERING(word) - 1);
+}
+
+/* The first of the requests that are held which is this node's to answer; NULL where there is none. */
+static struct held *due(struct entry *entry, struct requests *requests)
+{
+  if (!atomic_load(&entry->holding))
+    return NULL;
+  bool own = answers(requests, entry);
+  struct held *found = NULL, *claimed_elsewhere = NULL;
+  pthread_mutex_lock(&lock);
+  for (struct held **place = &entry->held; *place && !found;) {
+    struct held *held = *place;
+    if (held->claimed) {
+      found = unlink_held(entry, place);
+    } else if (!own) {
+      place = &held->next;
+    } else if (claim_request(requests, &held->info.id, false)) {
+      found = unlink_held(entry, place);
+      answering(entry);
+    } else {
+      held = unlink_held(entry, place);
+      held->next = claimed_elsewhere;
+      claimed_elsewhere = held;
+    }
+  }
+  pthread_mutex_unlock(&lock);
+  while (claimed_elsewhere) {
+    struct held *next = claimed_elsewhere->next;
+    free_held(claimed_elsewhere);
+    claimed_elsewhere = next;
+  }
+  return found;
+}
+
+/* Give the node a request that was held; false where none is due. */
+static bool take_held(struct entry *entry, struct requests *requests, struct request_info *info, void *request)
+{
+  struct held *held;
+  while ((held = due(entry, requests))) {
+    bool read = real_rmw_deserialize()(&held->bytes, entry->type, request) == 0;
+    *info = held->info;
+    free_held(held);
+    if (read)
+      return true;
+    real_rcutils_reset_error()();
+    answered(entry, requests);
+  }
+  return false;
+}
+
+/* Whether a server of the node has a request which it is to take that the middleware does not know of. With `lock`. */
+static bool is_due(struct entry *entry)
+{
+  struct requests *requests =
+      entry && entry->port->kind == SERVER && atomic_load(&entry->holding) ? requests_of(entry->me) : NULL;
+  if (!requests)
+    return false;
+  if (answers(requests, entry))
+    return true;
+  for (struct held *held = entry->held; held; held = held->next)
+    if (held->claimed)
+      return true;
+  return false;
+}
+
+/* Have the executor take what is due. With `lock`. */
+static void announce(struct entry *entry)
+{
+  for (struct waiting *waiting = waits; waiting; waiting = waiting->next)
+    if (waiting->guard)
+      real_rcl_trigger_guard_condition()(waiting->guard);
+  if (!entry->callback)
+    return;
+  size_t number = 0;
+  bool own = answers(requests_of(entry->me), entry);
+  for (struct held *held = entry->held; held; held = held->next)
+    if ((own || held->claimed) && !held->announced) {
+      held->announced = true;
+      number++;
+    }
+  if (number)
+    entry->callback(entry->context, number);
+}
+
+/* What is held of a server: forget what another node has claimed; claim what its successor has not received. With `lock`. */
+static uint32_t look_at_held(struct entry *entry, struct requests *requests)
+{
+  int64_t now = now_ns();
+  uint32_t waiting = 0;
+  uint64_t word = atomic_load(&requests->word);
+  for (struct held **place = &entry->held; *place;) {
+    struct held *held = *place;
+    if (!held->claimed && (now - held->at > HOLD || !claim_request(requests, &held->info.id, true))) {
+      free_held(unlink_held(entry, place));
+      continue;
+    }
+    if (!held->claimed && BEFORE(word) == entry->me && now - held->at > LEFT_OVER) {
+      uint64_t seen = atomic_load(&client_of(requests, client_key(&held->info.id))->seen);
+      bool received = seen >> 48 == ANSWERING(word) && seen <= SEEN(ANSWERING(word), held->info.id.number);
+      if (!received && claim_request(requests, &held->info.id, false)) {
+        held->claimed = true;
+        answering(entry);
+      }
+    }
+    waiting += !held->claimed;
+    place = &held->next;
+  }
+  return waiting;
+}
+
+/* With `lock`. */
+static void look_at_server(struct entry *entry, const void *server)
+{
+  struct requests *requests = requests_of(entry->me);
+  if (!requests)
+    return;
+  size_t clients = 0;
+  if (atomic_load(&requests->shared) && real_rcl_count_clients()) {
+    const char *name = real_rcl_service_get_service_name()(server);
+    if (name && real_rcl_count_clients()(entry->owner, name, &clients) == 0)
+      used_ports[entry->used].matched += (uint32_t)clients;
+    else
+      real_rcutils_reset_error()();
+  }
+  uint32_t waiting = atomic_load(&entry->holding) ? look_at_held(entry, requests) : 0;
+  used_ports[entry->used].waiting += waiting;
+  if (is_due(entry))
+    announce(entry);
+}
+
 /* -- the helper thread: what is kept, and with how many endpoints each port is matched ------------------------------ */
 
 static void wait_for_bell(_Atomic uint32_t *bell, uint32_t seen)
@@ -616,6 +1078,10 @@ static void look_at(struct entry *entry)
   const void *endpoint = atomic_load(&entry->endpoint);
   if (!endpoint || endpoint == REMOVED)
     return;
+  if (entry->port->kind == SERVER) {
+    look_at_server(entry, endpoint);
+    return;
+  }
   bool output = entry->port->kind == OUTPUT;
   int (*counting)(const void *, size_t *) =
       output ? real_rcl_publisher_get_subscription_count() : real_rcl_subscription_get_publisher_count();
@@ -631,13 +1097,18 @@ static void look_at(struct entry *entry)
 static void look(void)
 {
   for (unsigned index = 0; index < used_count; index++)
-    used_ports[index].matched = 0;
+    used_ports[index].matched = used_ports[index].waiting = 0;
   for (struct table *table = &first; table; table = atomic_load(&table->next))
     for (unsigned index = 0; index < ENTRIES; index++)
       look_at(&table->entries[index]);
-  for (unsigned index = 0; index < used_count; index++)
-    if (atomic_load(&used_ports[index].port->node) == used_ports[index].me)
-      atomic_store(&used_ports[index].port->matched, used_ports[index].matched);
+  for (unsigned index = 0; index < used_count; index++) {
+    struct used_port *used = &used_ports[index];
+    if (atomic_load(&used->port->node) != used->me)
+      continue;
+    atomic_store(&used->port->matched, used->matched);
+    if (used->port->kind == SERVER)
+      atomic_store(&used->port->gated, used->waiting);
+  }
 }
 
 /* Before what the middleware keeps is destroyed: it was loaded before this was registered. */
@@ -781,6 +1252,149 @@ EXPORT int rcl_subscription_fini(void *subscription, void *owner)
   return real_rcl_subscription_fini()(subscription, owner);
 }
 
+/* The type of the requests to a service; NULL where it is not known. */
+static const void *request_type(const struct service_type *type)
+{
+  /* Before Iron, the type of a service does not have it. */
+  bool known = type && real_rcl_service_configure_service_introspection();
+  return known && real_rmw_serialize() && real_rmw_deserialize() && real_rcutils_reset_error() ? type->request : NULL;
+}
+
+EXPORT int rcl_service_init(void *service, const void *owner, const void *type, const char *name,
+                            const struct service_options *options)
+{
+  const void *request = page ? request_type(type) : NULL;
+  if (!request || !options)
+    return real_rcl_service_init()(service, owner, type, name, options);
+  struct service_options deeper = *options;
+  if (deeper.history == KEEP_LAST && deeper.depth < QUEUE)
+    deeper.depth = QUEUE;
+  int result = real_rcl_service_init()(service, owner, type, name, &deeper);
+  if (result == 0 && !add(service, owner, real_rcl_service_get_service_name()(service), SERVER, request)) {
+    real_rcl_service_fini()(service, (void *)owner);
+    return BAD_ALLOC;
+  }
+  return result;
+}
+
+EXPORT int rcl_service_fini(void *service, void *owner)
+{
+  forget(service);
+  return real_rcl_service_fini()(service, owner);
+}
+
+EXPORT int rcl_service_set_on_new_request_callback(const void *service, void (*callback)(const void *, size_t),
+                                                   const void *context)
+{
+  struct entry *entry = find(service);
+  if (entry) {
+    pthread_mutex_lock(&lock);
+    entry->callback = callback;
+    entry->context = context;
+    pthread_mutex_unlock(&lock);
+  }
+  return real_rcl_service_set_on_new_request_callback()(service, callback, context);
+}
+
+/* Of the two functions that take a request, one may call the other. */
+static _Thread_local bool taking;
+
+/* Take a request with `real_take`, or one that was held. */
+static int take_request(const void *service, struct request_info *info, void *request, bool with_info)
+{
+  struct entry *entry = taking ? NULL : find(service);
+  struct requests *requests = entry ? requests_of(entry->me) : NULL;
+  if (requests && take_held(entry, requests, info, request))
+    return 0;
+  bool nested = taking;
+  taking = true;
+  int result = with_info ? real_rcl_take_request_with_info()(service, info, request)
+                         : real_rcl_take_request()(service, &info->id, request);
+  taking = nested;
+  if (result != 0 || !requests)
+    return result;
+  note_seen(requests, entry->me, &info->id);
+  if (answers(requests, entry)) {
+    if (!claim_request(requests, &info->id, false))
+      return NO_REQUEST;
+    answering(entry);
+    return 0;
+  }
+  hold(entry, info, request);
+  pthread_mutex_lock(&lock);
+  if (is_due(entry)) /* since meanwhile it is to answer */
+    announce(entry);
+  pthread_mutex_unlock(&lock);
+  return NO_REQUEST;
+}
+
+EXPORT int rcl_take_request_with_info(const void *service, struct request_info *info, void *request)
+{
+  return take_request(service, info, request, true);
+}
+
+EXPORT int rcl_take_request(const void *service, struct request_id *id, void *request)
+{
+  struct request_info info = {.id = *id};
+  int result = take_request(service, &info, request, false);
+  *id = info.id;
+  return result;
+}
+
+EXPORT int rcl_send_response(const void *service, struct request_id *id, void *response)
+{
+  int result = real_rcl_send_response()(service, id, response);
+  struct entry *entry = find(service);
+  struct requests *requests = entry ? requests_of(entry->me) : NULL;
+  if (requests)
+    answered(entry, requests);
+  return result;
+}
+
+/* Servers with a request that is held are ready once the node is to answer it. */
+EXPORT int rcl_wait(struct wait_set *set, int64_t timeout)
+{
+  if (!page || !set || !set->impl || !set->service_count || set->service_count > ENTRIES)
+    return real_rcl_wait()(set, timeout);
+  const void *services[ENTRIES];
+  size_t count = set->service_count;
+  memcpy(services, set->services, count * sizeof *services);
+  struct waiting own = {0};
+  for (size_t index = 0; index < set->guard_count && !own.guard; index++)
+    own.guard = set->guards[index];
+  bool shortened = false;
+  pthread_mutex_lock(&lock);
+  for (size_t index = 0; index < count; index++) {
+    struct entry *entry = services[index] ? find(services[index]) : NULL;
+    if (is_due(entry))
+      timeout = 0;
+    else if (entry && atomic_load(&entry->holding))
+      shortened = shortened || (!own.guard && (timeout < 0 || timeout > SHORT_WAIT));
+  }
+  if (shortened && timeout != 0)
+    timeout = SHORT_WAIT;
+  own.next = waits;
+  waits = &own;
+  pthread_mutex_unlock(&lock);
+  int result = real_rcl_wait()(set, timeout);
+  pthread_mutex_lock(&lock);
+  struct waiting **place = &waits;
+  while (*place != &own)
+    place = &(*place)->next;
+  *place = own.next;
+  bool ready = false;
+  for (size_t index = 0; index < count && (result == 0 || result == TIMED_OUT); index++) {
+    struct entry *entry = services[index] && !set->services[index] ? find(services[index]) : NULL;
+    /* A shortened wait has not timed out for its caller, who takes, finds no request, and waits again. */
+    if (is_due(entry) || (entry && shortened && result == TIMED_OUT && atomic_load(&entry->holding))) {
+      set->services[index] = services[index];
+      ready = true;
+    }
+  }
+  pthread_mutex_unlock(&lock);
+  return ready ? 0 : result;
+}
+
 /* Whether a message may be published. One that is kept comes first. */
 static bool admitted(struct entry *entry, struct pass *pass)
 {
@@ -888,7 +1502,8 @@ EXPORT int rcl_take_loaned_message(const void *subscription, void **message, voi
 
 EXPORT void midstride_layout(uint32_t *sizes)
 {
-  uint32_t layout[] = {PAGE_VERSION, sizeof(struct page), sizeof(struct baton), sizeof(struct node), sizeof(struct port)};
+  uint32_t layout[] = {PAGE_VERSION,        sizeof(struct page), sizeof(struct baton),
+                       sizeof(struct node), sizeof(struct port), sizeof(struct requests)};
   memcpy(sizes, layout, sizeof layout);
 }
 
@@ -960,12 +1575,45 @@ EXPORT unsigned midstride_claim(struct page *shared, int file, unsigned index)
   return port ? (unsigned)(port - shared->ports) + 1 : 0;
 }
 
+/* The manager's steps with the requests of a role (number from 0); each returns the word after it. GIVE_REQUESTS: `node`
+ * (index + 1) is to answer, and the one before has until `until` for what it has taken. */
+enum requests_step { GIVE_REQUESTS, FORGET };
+
+EXPORT uint64_t midstride_requests_step(struct page *shared, int file, unsigned number, int step, unsigned node,
+                                        int64_t until)
+{
+  struct requests *requests = requests_at(shared, number);
+  uint64_t word = atomic_load(&requests->word), next;
+  if (step == GIVE_REQUESTS)
+    atomic_store(&requests->until, until);
+  do {
+    unsigned now = ANSWERING(word);
+    int lives = now && atomic_load(&shared->nodes[now - 1].pid) && !is_dead(file, now);
+    next = step == GIVE_REQUESTS ? requests_give(word, node, lives) : requests_forget(word, node);
+  } while (!atomic_compare_exchange_weak(&requests->word, &word, next));
+  return next;
+}
+
+/* The same of a word; any other step is that of the node itself. */
+EXPORT uint64_t midstride_requests_word(uint64_t word, int step, unsigned node, int lives)
+{
+  if (step == GIVE_REQUESTS)
+    return requests_give(word, node, lives);
+  return step == FORGET ? requests_forget(word, node) : requests_take_back(word, node);
+}
+
+EXPORT int midstride_requests_claim(uint64_t word, uint32_t number, uint64_t *next)
+{
+  return requests_claim(word, number, next);
+}
+
 /* The part of a node in the page is free, and its ports are. */
 EXPORT void midstride_free(struct page *shared, unsigned index)
 {
   for (unsigned port = 0; port < atomic_load(&shared->head.room); port++)
     if (atomic_load(&shared->ports[port].node) == index + 1)
       free_port(&shared->ports[port]);
+  atomic_store(&shared->nodes[index].requests, 0);
   atomic_store(&shared->nodes[index].used, 0);
 }
 

@@ -109,7 +109,14 @@ class ForeignAgent:
             start_token=record.token,
         )
         self._server = CommandServer(greeting, self._serve)
+        self._outputs = outputs
         self._commands = ForeignCommands(self.node, outputs, self._parameters, self.lifecycle, self._report)
+
+    async def finish(self) -> None:
+        """Before its process is ended. Raises CommandRefused where a lifecycle node has not made its transitions."""
+        await self._outputs.finish()
+        if self.lifecycle is not None and self.lifecycle.lifecycle.responsive:
+            await self.lifecycle.finish()
 
     async def open(self, transport: Transport) -> None:
         """Listen for the manager, and register as soon as the node has the endpoints that are declared.

@@ -29,6 +29,12 @@ PUBLISHING: Final = 0.3
 # An output with a rate hangs if it has been silent for so many periods, and at least so long (s).
 HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
+# How long a node may take until it shows the clients of the one that answers (s).
+CLIENTS_KNOWN: Final = 2.0
+# How long a node has to answer the requests that it has taken, once its successor is to answer (s).
+DRAIN: Final = 2.0
+# How long a node that has answered stays: a client that is held up learns that it has left before it reads (s).
+LINGER: Final = 0.5
 
 
 @dataclass
@@ -165,6 +171,30 @@ class GatedOutputs(UngatedOutputs):
             if rate and due is not None and due > max(HANGS, HANGS_PERIODS / rate):
                 return replies.Idle(busy=f"it has written nothing on {self._node.record.topics[port]} for {age:.1f} s")
         return replies.Idle(busy=None)
+
+    # -- requests to its services ----------------------------------------------------------------------
+
+    async def answer(self, command: commands.AnswerCommand) -> replies.Done:
+        """Answer from now on what arrives, and what has been held that the old one has not taken."""
+        page, index = self._gates.page, self._gates.index
+        if (other := page.answering(index)) is None:
+            return replies.Done()
+        if command.address is not None and not page.is_dead(other):
+            looked = page.beat(index), page.beat(other)
+            page.ring(index)
+            page.ring(other)
+            await self._node.comes_true(lambda: page.beat(index) != looked[0] and page.beat(other) != looked[1], LOOK)
+            if not self._gates.has_clients_of(other):
+                await self._node.comes_true(lambda: self._gates.has_clients_of(other), CLIENTS_KNOWN)
+                await asyncio.sleep(READY_AFTER)
+        self._gates.answer(DRAIN)
+        await self._node.comes_true(lambda: self._gates.begun, DRAIN)
+        return replies.Done()
+
+    async def finish(self) -> None:
+        """Before the process is ended of a node whose successor answers: what it has taken is answered first."""
+        if self._gates.succeeded:
+            await self._node.comes_true(lambda: self._gates.answered_all(LINGER), DRAIN + LINGER)
 
     # -- hand-over -------------------------------------------------------------------------------------
 

@@ -44,8 +44,11 @@ class Gates:
             raise BackendError(f"{self.page.path} has no port {port} of its node {self.index}")
         return found
 
-    def prepare(self, topics: dict[str, str]) -> None:
+    def prepare(self, topics: dict[str, str], predecessor: int | None = None) -> None:
         """Before the process starts: outputs are closed, inputs open (what is latched arrives when it subscribes).
+
+        Requests to its services are answered by the node ``predecessor`` (index), where there is one, until this one
+        is to answer them.
 
         Where the component states no ports yet, the library adds one for each topic, for `midstride capture --probe`.
         """
@@ -57,6 +60,7 @@ class Gates:
         # Else the name is passed for one node only, or none.
         if not self.component.unnamed and self.component.renames is None:
             self.page.layout.nodes[self.index].used |= NAMES_ONE
+        self.page.have_requests(self.index, predecessor)
         baton = self.page.new_baton(self.index)
         for port in self._names:
             entry = self.entry(port)
@@ -111,6 +115,51 @@ class Gates:
         self.page.step(baton, step, self.index, successor, at_once)
         self.page.ring(self.index)
         return self.page.word(baton)
+
+    # -- requests to its services ----------------------------------------------------------------------
+
+    @property
+    def answers(self) -> bool:
+        """Whether this node answers the requests to the services that another instance of its role has, too."""
+        return self.page.answering(self.index) is None
+
+    def answer(self, patience: float) -> None:
+        """Have this node answer, once the one that does has answered what it has taken, or ``patience`` (s) is over."""
+        other = self.page.answering(self.index)
+        self.page.give_requests(self.index, patience)
+        for index in (self.index, other):
+            if index is not None:
+                self.page.ring(index)
+
+    def has_clients_of(self, other: int) -> bool:
+        """Return whether each service that the node ``other`` has, too, shows as many clients to this one."""
+        theirs = self.page.servers(other)
+        return all(
+            port.matched >= theirs[name].matched
+            for name, port in self.page.servers(self.index).items()
+            if name in theirs
+        )
+
+    @property
+    def begun(self) -> bool:
+        """Whether this node answers, and the one before has answered all that it had taken."""
+        before = self.page.answered_before(self.index)
+        return self.answers and (before is None or not self.page.layout.nodes[before].unanswered)
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether another node answers now, instead of this one."""
+        return self.page.answered_before(self.index) == self.index
+
+    def answered_all(self, linger: float) -> bool:
+        """Return whether this node has answered all that it has taken, the last at least ``linger`` (s) ago.
+
+        What it holds that no node has taken is waited for as well.
+        """
+        node = self.page.layout.nodes[self.index]
+        age = (time.monotonic_ns() - node.answered) / 1e9
+        waiting = any(port.gated for port in self.page.servers(self.index).values())
+        return not node.unanswered and not waiting and age >= linger
 
     # -- what has passed -------------------------------------------------------------------------------
 

@@ -4,22 +4,25 @@
  * same layout; midstride_layout() lets a test compare the two. Every field that both sides write is atomic.
  *
  * The header, the batons and the nodes have a fixed place. Behind them are the ports, in no order: each says which node has
- * it. The file grows where it has no free one, so it is mapped at the length that it may reach.
+ * it. The file grows where it has no free one, so it is mapped at the length that it may reach. Behind the last place of a
+ * port is what is known of requests, one part for each role, of which the file has those that are used.
  */
 #ifndef MIDSTRIDE_PAGE_H
 #define MIDSTRIDE_PAGE_H
 
 #include "baton.h"
+#include "requests.h"
 
 #include <stdatomic.h>
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 3 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 4 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
 #define GROWTH 64 /* how many ports the file grows by */
+#define CLIENTS 512 /* how many clients of its services are known for a role at once */
 #define NAME 256
 
 /* Of a port: what its endpoints are. NODE: it is no port, and names a ROS node of the process instead of a topic. */
@@ -34,12 +37,13 @@ struct port {
   _Atomic uint32_t flags;
   _Atomic uint32_t gate;
   _Atomic uint32_t baton;   /* index + 1 in `batons`; 0: the gate alone decides */
-  _Atomic uint64_t passed;  /* messages published, or received */
-  _Atomic uint64_t gated;   /* messages held back, or dropped */
+  _Atomic uint64_t passed;  /* messages published, or received; of a server, requests that this node has claimed */
+  _Atomic uint64_t gated;   /* messages held back, or dropped; of a server, requests held now that no node has claimed */
   _Atomic int64_t last;     /* when one passed last: CLOCK_MONOTONIC, ns; 0: never */
   _Atomic int64_t tried;    /* the same, whether it passed or not */
   _Atomic uint32_t endpoints; /* how many endpoints of the node have this topic */
-  _Atomic uint32_t matched;   /* with how many endpoints they are matched, as the middleware of the process sees it */
+  _Atomic uint32_t matched;   /* with how many endpoints they are matched, as the middleware of the process sees it; of a
+                               * server, how many clients it shows while two nodes have the service */
   _Atomic uint32_t kept;      /* whether a message is kept that was written behind the gate */
   _Atomic uint32_t half;      /* half the period of an output with a rate (us); 0: any write is a slot */
   _Atomic uint32_t node;      /* index + 1 of the node that has it; 0: free */
@@ -58,7 +62,10 @@ struct node {
   uint32_t process;      /* index + 1 of the node that its process was started as, which may be this one: the helper thread
                           * of the process knows the bell and the beat of that one only */
   _Atomic uint32_t unlisted; /* how many nodes of the process the page had no room to name */
-  uint32_t spare[10];
+  _Atomic uint32_t requests; /* index + 1 of the part that has the requests to its role; 0: it answers each */
+  _Atomic uint32_t unanswered; /* how many requests it has claimed, and not answered yet */
+  _Atomic int64_t answered; /* when it answered last: CLOCK_MONOTONIC, ns; 0: never */
+  uint32_t spare[6];
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */
 };
@@ -80,6 +87,23 @@ struct head {
   _Atomic int64_t lease; /* CLOCK_MONOTONIC, ns: a probe that has ended without a word keeps no input closed */
   _Atomic uint32_t room; /* for how many ports the file has room */
   uint32_t spare[7];
+};
+
+/* A client of a role's services. */
+struct client {
+  _Atomic uint64_t id;   /* from the identity of its writer; 0: free */
+  _Atomic uint64_t word; /* which of its requests have been claimed */
+  _Atomic uint64_t seen; /* index + 1 of the successor, and the number (48 bits) of the first one that it has received */
+  _Atomic int64_t last;  /* when one was claimed or seen last: CLOCK_MONOTONIC, ns */
+};
+
+/* The requests to the services of a role. */
+struct requests {
+  _Atomic uint64_t word;   /* which node answers */
+  _Atomic int64_t until;   /* how long the one before has for what it has taken: CLOCK_MONOTONIC, ns */
+  _Atomic uint32_t shared; /* whether two nodes have them */
+  uint32_t spare[11];
+  struct client clients[CLIENTS];
 };
 
 struct page {

@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from ctypes import c_char, c_int, c_int64, c_uint32, c_uint64, c_void_p
-from enum import IntFlag
+from enum import IntEnum, IntFlag
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,19 +18,21 @@ from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 3
+VERSION: Final = 4
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
 MOST_PORTS: Final = 65536
 ROOM: Final = 64
 NAME: Final = 256
+# How many clients of its services are known for a role at once.
+CLIENTS: Final = 512
 
 # The folder beside the control sockets with the records of the nodes and this file.
 GATES_FOLDER: Final = "gates"
 PAGE: Final = "page"
 
-# Of a port. The gate is in what publishes or receives; servers and clients have their place. NODE: it is none, and
+# Of a port. The gate is in what publishes or receives; the library adds a port for each server. NODE: it is none, and
 # names a ROS node of the process.
 UNUSED, OUTPUT, INPUT, SERVER, CLIENT, NODE = range(6)
 CLOSED, OPEN = range(2)
@@ -86,7 +88,10 @@ class PageNode(ctypes.Structure):
         ("used", c_uint32),
         ("process", c_uint32),
         ("unlisted", c_uint32),
-        ("spare", c_uint32 * 10),
+        ("requests", c_uint32),
+        ("unanswered", c_uint32),
+        ("answered", c_int64),
+        ("spare", c_uint32 * 6),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
     ]
@@ -100,6 +105,34 @@ class PageBaton(ctypes.Structure):
         ("collisions", c_uint64),
         ("padding", c_uint64 * 4),
     ]
+
+
+class PageClient(ctypes.Structure):
+    _fields_ = [
+        ("id", c_uint64),
+        ("word", c_uint64),
+        ("seen", c_uint64),
+        ("last", c_int64),
+    ]
+
+
+class PageRequests(ctypes.Structure):
+    """The requests to the services of a role, whose parts are behind the place of the last port."""
+
+    _fields_ = [
+        ("word", c_uint64),
+        ("until", c_int64),
+        ("shared", c_uint32),
+        ("spare", c_uint32 * 11),
+        ("clients", PageClient * CLIENTS),
+    ]
+
+
+class RequestsStep(IntEnum):
+    """GIVE: a node is to answer. FORGET: it has ended."""
+
+    GIVE = 0
+    FORGET = 1
 
 
 class PageLayout(ctypes.Structure):
@@ -120,6 +153,8 @@ class PageLayout(ctypes.Structure):
 
 
 _HEAD: Final = PageLayout.batons.offset
+# Where the requests are, from the start of the file.
+_REQUESTS: Final = ctypes.sizeof(PageLayout) + MOST_PORTS * ctypes.sizeof(PagePort)
 _SIZES: Final = (ctypes.sizeof(PageLayout), ctypes.sizeof(PageNode), ctypes.sizeof(PagePort))
 
 
@@ -132,6 +167,8 @@ def load_library(path: Path) -> Any:
     library.midstride_map.argtypes, library.midstride_map.restype = [c_int], c_void_p
     library.midstride_claim.argtypes, library.midstride_claim.restype = [c_void_p, c_int, c_uint32], c_uint32
     library.midstride_free.argtypes, library.midstride_free.restype = [c_void_p, c_uint32], None
+    library.midstride_requests_step.argtypes = [c_void_p, c_int, c_uint32, c_int, c_uint32, c_int64]
+    library.midstride_requests_step.restype = c_uint64
     library.midstride_ring.argtypes, library.midstride_ring.restype = [c_void_p, c_uint32], None
     return library
 
@@ -166,6 +203,7 @@ class Page:
             )
         self.layout = PageLayout.from_address(self._address)
         self._ports = (PagePort * MOST_PORTS).from_address(self._address + ctypes.sizeof(PageLayout))
+        self._requests = (PageRequests * NODES).from_address(self._address + _REQUESTS)
 
     def _reserve(self, size: int) -> None:
         """Now: a process that writes where the disk has no space left by then is killed (SIGBUS). Raises OSError."""
@@ -203,8 +241,8 @@ class Page:
         return index
 
     def ports(self, index: int) -> list[PagePort]:
-        """The ports of a node, in their order."""
-        found = [port for port in self.every_port() if port.node == index + 1 and port.kind not in (UNUSED, NODE)]
+        """The ports of a node, in their order; those of its servers are among :meth:`servers`."""
+        found = [port for port in self.every_port() if port.node == index + 1 and port.kind in (OUTPUT, INPUT)]
         return sorted(found, key=lambda port: int(port.number))
 
     def ros_nodes(self, index: int) -> list[str] | None:
@@ -228,7 +266,62 @@ class Page:
         return min(found, key=lambda index: not self._lives(index), default=None)
 
     def free(self, index: int) -> None:
+        number = self.layout.nodes[index].requests
         self._library.midstride_free(self._address, index)
+        if number and any(node.used and node.requests == number for node in self.layout.nodes):
+            self._step_requests(number, RequestsStep.FORGET, index)
+            self._requests[number - 1].shared = False
+
+    # -- requests to services --------------------------------------------------------------------------
+
+    def have_requests(self, index: int, of: int | None = None) -> None:
+        """The node ``index`` answers the requests to its role, or those of the node ``of`` once it is given them.
+
+        Before its process starts. Raises BackendError.
+        """
+        nodes = self.layout.nodes
+        if of is not None and nodes[of].requests:
+            nodes[index].requests = nodes[of].requests
+            self._requests[nodes[of].requests - 1].shared = True
+            self.ring(of)
+            return
+        used = {node.requests for node in nodes if node.used}
+        number = next(number for number in range(1, NODES + 1) if number not in used)
+        size = ctypes.sizeof(PageRequests)
+        try:
+            os.posix_fallocate(self._file, _REQUESTS + (number - 1) * size, size)
+        except OSError as error:
+            raise BackendError(f"the page of the gates, {self.path}, cannot grow: {error.strerror}") from None
+        ctypes.memset(ctypes.addressof(self._requests[number - 1]), 0, size)
+        self._step_requests(number, RequestsStep.GIVE, index)
+        nodes[index].requests = number
+
+    def _step_requests(self, number: int, step: RequestsStep, index: int, until: int = 0) -> None:
+        self._library.midstride_requests_step(self._address, self._file, number - 1, step, index + 1, until)
+
+    def give_requests(self, index: int, patience: float) -> None:
+        """The node ``index`` is to answer from now on; the one before has ``patience`` (s) for what it has taken."""
+        until = time.monotonic_ns() + int(patience * 1e9)
+        self._step_requests(self.layout.nodes[index].requests, RequestsStep.GIVE, index, until)
+
+    def answering(self, index: int) -> int | None:
+        """The index of the node that answers the requests to the role of the node ``index``; None where it does."""
+        number = self.layout.nodes[index].requests
+        found = (self._requests[number - 1].word & 0xFFF) - 1 if number else index
+        return None if found == index else int(found)
+
+    def answered_before(self, index: int) -> int | None:
+        """The index of the node that has answered before the one that does now, until it has ended."""
+        number = self.layout.nodes[index].requests
+        found = (self._requests[number - 1].word >> 12 & 0xFFF) - 1 if number else -1
+        return None if found < 0 else int(found)
+
+    def servers(self, index: int) -> dict[str, PagePort]:
+        """By full name, the services that the node ``index`` has now."""
+        found = (port for port in self.every_port() if port.node == index + 1 and port.kind == SERVER)
+        return {port.topic.decode(): port for port in found if port.endpoints}
+
+    # -- what its processes do -------------------------------------------------------------------------
 
     def set_ports(self, index: int, topics: Sequence[tuple[str, int]]) -> None:
         """The topics of a node, each with its kind; closed. Raises BackendError where that cannot be."""

@@ -51,6 +51,9 @@ class UngatedOutputs:
     async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         return replies.Done()
 
+    async def finish(self) -> None:
+        """Before the process is ended."""
+
     async def refuse(self, command: Any) -> Any:
         kind = f"`gate {self._node.component.gate}`"
         raise CommandRefused(

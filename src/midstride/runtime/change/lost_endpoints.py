@@ -26,15 +26,15 @@ def lost_endpoints(
 
     ``states``: the last reports of the nodes that it removes; ``endpoints``: what they have besides ports.
     """
-    created: set[str] = set()
+    created: dict[str, ComponentSpec] = {}
     for step in plan.steps:
         match step.action:
             case Create(instance):
-                created.add(instance.role)
+                created[instance.role] = instance.component
             case Remove(name):
                 found, role = plan.change.instance(name), plan.change.role_of(name)
                 known = LastKnown(states.get(name), endpoints.get(name, ()))
-                yield from what_ended(name, found.component, known, planned=True)
+                yield from what_ended(name, found.component, known, planned=True, beside=created.get(role))
                 if known.latest is not None and role in created:
                     yield from two_writers(role, known.latest)
 
@@ -49,11 +49,14 @@ def endpoints_that_ended(
 
     ``states``: what was known when it began; ``together``: for how long both instances of a role ran (s), by role.
     """
-    created = {step.action.instance.role for step in plan.steps if isinstance(step.action, Create)}
+    instances = [step.action.instance for step in plan.steps if isinstance(step.action, Create)]
+    created = {instance.role: instance.component for instance in instances}
     for name, instance in planned_instances(plan).items():
         if (known := ended_instances.get(name)) is None:
             continue
-        yield from what_ended(name, instance.component, _as_planned(known, states.get(name)), planned=False)
+        beside = created.get(instance.role) if instance.role in together else None
+        known_now = _as_planned(known, states.get(name))
+        yield from what_ended(name, instance.component, known_now, planned=False, beside=beside)
         if known.latest is not None and instance.role in created and instance.role in together:
             yield from two_writers(instance.role, known.latest, together[instance.role])
 
@@ -68,11 +71,18 @@ def _as_planned(known: LastKnown, before: LatestState | None) -> LastKnown:
 
 
 def what_ended(
-    name: str, component: ComponentSpec, known: LastKnown, *, planned: bool, new: str = "it had just been started"
+    name: str,
+    component: ComponentSpec,
+    known: LastKnown,
+    *,
+    planned: bool,
+    new: str = "it had just been started",
+    beside: ComponentSpec | None = None,
 ) -> Iterator[verdicts.Assessment]:
     """What ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
-    ``new``: why the graph has shown nothing of it yet.
+    ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
+    two nodes with the preloaded library, the successor goes on with each service that does not have the old one's name.
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
@@ -85,8 +95,14 @@ def what_ended(
     if state is not None:
         if state.starting:
             yield verdicts.management_unknown(name, state.starting, planned=planned)
-        if state.serves:
-            yield verdicts.ends_with(name, state.serves, planned=planned)
+        goes_on = []
+        if beside is not None and component.preloads and beside.preloads:
+            services = (each for each in state.serves if each.startswith("service /"))
+            goes_on = [each for each in services if not each.startswith(f"service {state.node}/")]
+        if ending := [each for each in state.serves if each not in goes_on]:
+            yield verdicts.ends_with(name, ending, planned=planned)
+        if goes_on and beside is not None and beside.name != component.name:
+            yield verdicts.answered_if_offered(name, goes_on, planned=planned)
         called += state.calls
     if called:
         yield verdicts.calls_end_with(name, called, planned=planned)

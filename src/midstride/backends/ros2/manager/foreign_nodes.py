@@ -104,7 +104,8 @@ class ForeignNodes:
         if component.preloads:
             page, library = await self._opened(environment)
             index = page.allocate(launch.instance)
-            Gates(page, index, component).prepare(topics)
+            old = self._agents.get(launch.predecessor)
+            Gates(page, index, component).prepare(topics, None if old is None else old.node.record.index)
             preloaded = environment.get("LD_PRELOAD", "")
             variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
             variables |= {ENV_PAGE: str(page.path.absolute()), ENV_NODE: str(index)}
@@ -349,11 +350,10 @@ class ForeignNodes:
         await agent.open(self._transport)
 
     async def finish(self, instance: str) -> None:
-        """Before its process is ended: the last transitions of a lifecycle node, which may fail."""
-        agent = self._agents.get(instance)
-        if agent is not None and agent.lifecycle is not None and agent.lifecycle.lifecycle.responsive:
+        """Before its process is ended: requests to answer, and the last transitions of a lifecycle node."""
+        if (agent := self._agents.get(instance)) is not None:
             try:
-                await agent.lifecycle.finish()
+                await agent.finish()
             except CommandRefused as error:
                 log.warning("%s; its process is ended all the same", error)
 
