@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,10 @@ class Servers:
     def claimed(self, index: int) -> int:
         return int(self.page.servers(index)["/count"].passed)
 
+    async def claims(self, index: int, count: int) -> None:
+        """The server has claimed so many requests in all, before the end of the wait."""
+        await self.bare.until(lambda: self.claimed(index) == count)
+
     def held(self, index: int) -> int:
         return int(self.page.servers(index)["/count"].gated)
 
@@ -121,6 +126,10 @@ class Servers:
         for process in self.processes.values():
             process.kill()
             process.wait()
+
+
+def note(order: list[str], name: str, _: Any) -> None:
+    order.append(name)
 
 
 @pytest.fixture
@@ -180,11 +189,11 @@ def test_the_new_one_begins_when_the_old_one_has_answered_or_its_time_is_over(se
             begun = servers.claimed(old)
             order: list[str] = []
             calls = {"slow": servers.call("slow", 1500)}
-            await servers.bare.until(lambda count=begun + 1: servers.claimed(old) == count)
+            await servers.claims(old, begun + 1)
             calls["next"] = servers.call("next", key="another client")
             await servers.bare.until(lambda: servers.held(new) == 1)
             for name, future in calls.items():
-                future.add_done_callback(lambda _, name=name, order=order: order.append(name))
+                future.add_done_callback(partial(note, order, name))
             page.give_requests(new, patience)
             page.ring(new)
             assert await servers.answered(calls["next"]) == "new"
