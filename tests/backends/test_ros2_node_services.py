@@ -24,3 +24,14 @@ def test_what_rclpy_raises_is_no_answer(fails: str) -> None:
     client.handle.take_response.side_effect = error if fails == "take" else None
     with pytest.raises(NoAnswer, match="/camera/get_state cannot be asked: error not set"):
         asyncio.run(RosNodeServices(node, "/camera").lifecycle_state(1.0))
+
+
+def test_of_two_nodes_of_one_name_no_parameter_is_read() -> None:
+    """Either may answer, and the other one's values are not those of the node."""
+    from midstride.backends.ros2.manager.node_services import RosNodeServices
+
+    node = Mock()
+    node.get_node_names_and_namespaces.return_value = [("talk", "/"), ("talk", "/front"), ("talk", "/")]
+    with pytest.raises(NoAnswer, match="more than one node is called /talk"):
+        asyncio.run(RosNodeServices(node, "/talk").parameters(1.0))
+    node.create_client.assert_not_called()

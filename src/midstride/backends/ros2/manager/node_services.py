@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 from midstride.backends.ros2.component.parameter_services import as_json
 from midstride.foreign.services import NoAnswer
+from midstride.model.instance_names import split_name
 
 # How often it looks for a service, or for an answer (s).
 INTERVAL: Final = 0.002
@@ -74,6 +75,8 @@ class RosNodeServices:
         return bool((await self._call(ChangeState, "change_state", timeout, request, lost)).success)
 
     async def parameters(self, timeout: float) -> dict[str, Any]:
+        if self._node.get_node_names_and_namespaces().count(split_name(self._name)) > 1:
+            raise NoAnswer(f"more than one node is called {self._name}: either may answer for the other")
         names = (await self._call(parameter_srv.ListParameters, "list_parameters", timeout)).result.names
         request = parameter_srv.GetParameters.Request(names=names)
         values = (await self._call(parameter_srv.GetParameters, "get_parameters", timeout, request)).values
