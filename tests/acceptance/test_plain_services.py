@@ -111,12 +111,14 @@ class Calls:
     @property
     def answered(self) -> list[tuple[str, float, str]]:
         """Name, latency (s) and server of each request that has been answered, or was given up (`-`)."""
-        words = (line.split() for line in self._answered.read_text().splitlines()[1:])
+        whole = self._answered.read_text().rpartition("\n")[0]  # the last line may be under way
+        words = (line.split() for line in whole.splitlines()[1:])
         return [(name, float(latency), server) for name, latency, server in words]
 
     @property
     def handled(self) -> list[tuple[str, str]]:
-        return [(words[0], words[1]) for words in map(str.split, self._handled.read_text().splitlines())]
+        whole = self._handled.read_text().rpartition("\n")[0]
+        return [(words[0], words[1]) for words in map(str.split, whole.splitlines())]
 
     def are_handled_once(self) -> None:
         """Each request was handled by one server, the one that answered it, once; and a client's in their order."""

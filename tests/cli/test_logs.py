@@ -179,8 +179,8 @@ def test_following_goes_on_across_a_replacement(talker: Midstride) -> None:
         until(following, "==> listener_2 <==")
         until(following, "I heard")
         following.send_signal(signal.SIGINT)
-        following.stdout.read()
-        assert following.wait(20) == 0
+        following.communicate(timeout=60)
+        assert following.returncode == 0
     finally:
         following.kill()
         following.communicate()

@@ -311,7 +311,7 @@ MODEL: Final = (
         + NODE,
         STARTED.replace('talker"\n', 'talker" gate relay\n  parameters { changeable volume = 1 }\n') + NODE,
         STARTED.replace('talker"', 'talker" stop sigterm 10 s sigkill 5 s') + NODE,
-        STARTED.replace('talker"', 'talker" activate 10 s gate relay') + NODE,
+        STARTED.replace('talker"', 'talker" activate 10 s') + NODE,
         STARTED.replace("output out", "output out lazy") + NODE,
         _json(
             '{"system": "s", "components": {"T": {"run": "t", "gate": "none", "lazy": ["out"],\n'
