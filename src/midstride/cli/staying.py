@@ -55,9 +55,19 @@ def stay(client: Client, system: str, begin: Callable[[], object]) -> int:
                 return 1
     except KeyboardInterrupt:
         pass
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a terminal and a launch may both send one
-        signal.signal(number, signal.SIG_IGN)
-    _, report = shut_down(system)
+    with _signals_ignored():  # a terminal and a launch may both send one
+        _, report = shut_down(system)
     for words in (f"{system} is down", *(each.words for each in report.killed)):
         click.echo(f"{words}.")
     return 0
+
+
+@contextmanager
+def _signals_ignored() -> Iterator[None]:
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
