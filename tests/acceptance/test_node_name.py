@@ -66,6 +66,18 @@ async def called_meanwhile(bare: Bare, caller: Caller, work: Coroutine[Any, Any,
     await task
 
 
+async def left_running(system: Path, folder: Path) -> None:
+    """Have the system run without a manager, in the new folder ``system``."""
+    from midstride import backends
+    from midstride.runtime.manager import Manager
+    from midstride.runtime.workspace import Workspace
+
+    system.mkdir()
+    manager = Manager(specification(folder), backends.make("ros2", Workspace(system)), Workspace(system), folder)
+    await manager.up()
+    await manager.close()
+
+
 def replaced_often(folder: Path, number: int) -> None:
     async def main() -> None:
         async with managed(folder / "system", specification(folder), folder) as (manager, _):
@@ -111,16 +123,7 @@ def test_exactly_one_instance_answers_whenever_the_manager_is_killed(tmp_path: P
     system = tmp_path / "system"
 
     async def main() -> None:
-        from midstride import backends
-        from midstride.runtime.manager import Manager
-        from midstride.runtime.workspace import Workspace
-
-        system.mkdir()
-        manager = Manager(
-            specification(tmp_path), backends.make("ros2", Workspace(system)), Workspace(system), tmp_path
-        )
-        await manager.up()
-        await manager.close()
+        await left_running(system, tmp_path)
         with Bare() as bare:
             caller = Caller(bare.node, "/source/count")
             await bare.until(caller.ready)
@@ -185,16 +188,7 @@ def test_a_request_that_reaches_the_predecessor_alone_is_passed_on(tmp_path: Pat
     system = tmp_path / "system"
 
     async def main() -> None:
-        from midstride import backends
-        from midstride.runtime.manager import Manager
-        from midstride.runtime.workspace import Workspace
-
-        system.mkdir()
-        manager = Manager(
-            specification(tmp_path), backends.make("ros2", Workspace(system)), Workspace(system), tmp_path
-        )
-        await manager.up()
-        await manager.close()
+        await left_running(system, tmp_path)
         program = [sys.executable, "-c", CLIENT]
         with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as client:
             try:

@@ -7,6 +7,7 @@ import pytest
 from midstride.foreign import reported_states
 from midstride.foreign.reported_states import FRESH, UNNOTICED, ReportedStates
 from midstride.wire.state import ComponentState
+from tests.wire.bare_state import bare_state
 
 
 class Time:
@@ -27,18 +28,7 @@ def time(monkeypatch: pytest.MonkeyPatch) -> Time:
 
 
 def state(speed: float, *, simulated: bool = True) -> ComponentState:
-    return ComponentState(
-        instance="talker",
-        uuid="1",
-        pid=1,
-        revision=0,
-        functionalities={},
-        ports={},
-        parameters={},
-        stopping=0.0,
-        simulated_time=simulated,
-        clock_speed=speed,
-    )
+    return bare_state("talker", uuid="1", revision=0, simulated_time=simulated, clock_speed=speed)
 
 
 def reports(clock: ReportedStates, time: Time, speed: float, seconds: float) -> None:

@@ -37,7 +37,7 @@ from midstride.runtime.manager_clock import SystemClock
 from midstride.wire.commands import AwaitMatchCommand
 from midstride.wire.replies import Attached
 from midstride.wire.sockets import SocketFolder
-from midstride.wire.state import ComponentState
+from tests.wire.bare_state import bare_state
 
 TEXT = """system chat
 
@@ -147,16 +147,7 @@ def test_a_relay_says_how_a_program_calls_its_node_and_a_replacement_is_renamed(
     specification = parsed(text, tmp_path)
     launch, component = launched("Talker", specification, "robot1"), specification.components["Talker"]
     launch = replace(launch, role="robot1/talker")
-    state = ComponentState(
-        instance="robot1/talker",
-        uuid="u",
-        pid=1,
-        revision=0,
-        functionalities={},
-        ports={},
-        parameters={},
-        stopping=0.0,
-    )
+    state = bare_state("robot1/talker", revision=0)
 
     async def scenario() -> None:
         made = partial(ForeignNodes, tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)

@@ -15,8 +15,9 @@ from midstride.runtime.instance_life import LatestState
 from midstride.runtime.manager import Manager
 from midstride.runtime.process.launcher import LastKnown
 from midstride.verdicts import Assessments
-from midstride.wire.state import ComponentState, Endpoint, UndeclaredTopic
+from midstride.wire.state import Endpoint, UndeclaredTopic
 from tests.runtime.systems import managed
+from tests.wire.bare_state import bare_state
 
 GOALS = [
     Endpoint(kind="ROS action", name="/dock", serves=True),
@@ -68,18 +69,7 @@ def test_a_roll_back_names_what_has_ended_with_the_new_instance_and_not_what_goe
 
 def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() -> None:
     def said(**seen: Any) -> list[str]:
-        state = ComponentState(
-            instance="talker",
-            uuid="",
-            pid=1,
-            revision=1,
-            functionalities={},
-            ports={},
-            parameters={},
-            stopping=0.0,
-            node="/talker",
-            **seen,
-        )
+        state = bare_state("talker", node="/talker", **seen)
         component = ComponentSpec.of("Talker", gate="preload")
         latest = LatestState(state, 0.0)
         found = [*what_ended("talker", component, LastKnown(latest), planned=True), *two_writers("talker", latest)]
@@ -112,18 +102,8 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() ->
 )
 def test_a_service_that_the_successor_answers_does_not_end(gate: Gate, component: str, found: list[str]) -> None:
     """The name of the old node is gone with it, and its goals are."""
-    state = ComponentState(
-        instance="mapper",
-        uuid="",
-        pid=1,
-        revision=1,
-        functionalities={},
-        ports={},
-        parameters={},
-        stopping=0.0,
-        node="/mapper",
-        serves=["service /mapper/save", "service /reset", "ROS action /dock"],
-    )
+    serves = ["service /mapper/save", "service /reset", "ROS action /dock"]
+    state = bare_state("mapper", node="/mapper", serves=serves)
     old, new = (ComponentSpec.of(kind, run="mapper", gate=gate) for kind in ("Mapper", component))
     known = LastKnown(LatestState(state, 0.0), ())
     said = [each.words for each in what_ended("mapper", old, known, planned=True, beside=new)]

@@ -21,14 +21,18 @@ SILENCE = 5.0
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
     """SIGTERM and SIGHUP interrupt the block as Ctrl-C does. A launch ends its processes with SIGINT, then SIGTERM."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
-    for number in before:
-        signal.signal(number, _interrupt)
+    with _handled_by(_interrupt, signal.SIGTERM, signal.SIGHUP):
+        yield
+
+
+@contextmanager
+def _handled_by(handler: Callable[..., object] | signal.Handlers, *numbers: signal.Signals) -> Iterator[None]:
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 def _interrupt(*_: object) -> None:
@@ -55,19 +59,9 @@ def stay(client: Client, system: str, begin: Callable[[], object]) -> int:
                 return 1
     except KeyboardInterrupt:
         pass
-    with _signals_ignored():  # a terminal and a launch may both send one
+    # A terminal and a launch may both send one.
+    with _handled_by(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         _, report = shut_down(system)
     for words in (f"{system} is down", *(each.words for each in report.killed)):
         click.echo(f"{words}.")
     return 0
-
-
-@contextmanager
-def _signals_ignored() -> Iterator[None]:
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

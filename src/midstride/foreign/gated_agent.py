@@ -264,7 +264,7 @@ class ForeignAgent:
             await asyncio.sleep(later if self.node.looked else FIRST_LOOK)
 
     def _may_show_more(self) -> bool:
-        """Whether the node has been started so recently that it may still create endpoints, services and clients."""
+        """Return whether the node started so recently that it may still create endpoints, services and clients."""
         return self._managers is not None and self.node.record.instance in self._managers.starting
 
     async def _look(self, seconds: float) -> None:
@@ -277,7 +277,10 @@ class ForeignAgent:
             await self._look_at_graph()
 
     def _has_shown_itself(self) -> bool:
-        """Whether the graph shows what the node is, as for FIRST_LOOK without news; others may see it sooner."""
+        """Return whether the graph has shown nothing new of the node for FIRST_LOOK, so what it shows is the node.
+
+        Other processes may see a change of the graph sooner than this one.
+        """
         since = asyncio.get_running_loop().time() - self._shown_since
         return not self._may_show_more() or (self.node.looked and since >= FIRST_LOOK)
 

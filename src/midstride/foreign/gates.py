@@ -120,7 +120,7 @@ class Gates:
 
     @property
     def answers(self) -> bool:
-        """Whether this node answers the requests to the services that another instance of its role has, too."""
+        """Return whether this node answers requests to the services that the instances of its role share."""
         return self.page.answering(self.index) is None
 
     def answer(self, patience: float) -> None:
@@ -142,13 +142,13 @@ class Gates:
 
     @property
     def begun(self) -> bool:
-        """Whether this node answers, and the one before has answered all that it had taken."""
+        """Return whether this node answers, and the one before has answered all that it had taken."""
         before = self.page.answered_before(self.index)
         return self.answers and (before is None or not self.page.layout.nodes[before].unanswered)
 
     @property
     def succeeded(self) -> bool:
-        """Whether another node answers now, instead of this one."""
+        """Return whether another node answers now, instead of this one."""
         return self.page.answered_before(self.index) == self.index
 
     def answered_all(self, linger: float) -> bool:

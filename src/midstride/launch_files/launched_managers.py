@@ -56,7 +56,7 @@ def with_one_manager(
 
 
 def _unmanaged(node: LaunchedNode) -> str:
-    """What becomes of a lifecycle node that no manager of the launch file has."""
+    """Say what becomes of a lifecycle node that no manager of the launch file manages."""
     if node.state == "active":
         return f"launch activates `{node.role}` by events; here Midstride does, and manages its lifecycle"
     what = f"the launch file leaves `{node.role}` {node.state}; here Midstride activates it at its start"

@@ -224,7 +224,7 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _overlap(parts: Sequence[SectionInFile]) -> bool:
-    """Whether sections of several files have parameters in common, or one within another."""
+    """Return whether two sections state the same parameter, or one that is nested in a parameter of the other."""
     seen: set[str] = set()
     for section in parts:
         names = {name.partition(".")[0] for name in section.values}

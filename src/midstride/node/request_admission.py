@@ -103,20 +103,15 @@ class RequestAdmission:
         with self._lock:
             return list(self._handled)
 
-    def overdue(self) -> dict[str, PassableRequest]:
-        """The requests that have been held for PASS_AFTER and can be passed on; empty while admission is open."""
-        before = self._steady() - int(PASS_AFTER * 1e9)
+    def passable(self, held_for: float = 0.0) -> dict[str, PassableRequest]:
+        """Return the requests that can be passed on, of those that have been held for so long (s)."""
+        before = self._steady() - int(held_for * 1e9)
         with self._lock:
             return {
                 request: passable
                 for request, (since, _, passable) in self._held.items()
                 if passable is not None and since <= before
             }
-
-    def passable(self) -> list[str]:
-        """The requests held here that can be passed on."""
-        with self._lock:
-            return [request for request, (_, _, passable) in self._held.items() if passable is not None]
 
     def give_up(self, requests: Iterable[str]) -> None:
         """Hold these no longer: the successor has received them."""
@@ -125,7 +120,10 @@ class RequestAdmission:
                 self._held.pop(request, None)
 
     def pass_on(self, request: str) -> bool:
-        """Whether ``request`` is still held; then the successor handles it. Call :meth:`finished` once it has."""
+        """Hold ``request`` no longer, since the successor is to handle it; call :meth:`finished` once it has.
+
+        Returns False if it is not held any more.
+        """
         with self._lock:
             if self._held.pop(request, None) is None:
                 return False
@@ -133,13 +131,15 @@ class RequestAdmission:
             return True
 
     def missing(self, requests: Iterable[str]) -> list[str]:
-        """Those of the ``requests`` that have not arrived here."""
+        """Return which of the ``requests`` have not arrived here."""
         with self._lock:
             return [each for each in requests if each not in self._handled and each not in self._held]
 
     def admit_passed(self, request: str) -> bool:
-        """Whether to handle a request that the predecessor passes on: it has not arrived, and is not handled if it
-        arrives yet. Call :meth:`finished` as for others."""
+        """Return whether to handle a request that the predecessor passes on, which is so unless it has arrived.
+
+        If it arrives later, it is not handled again. Call :meth:`finished` as for others.
+        """
         with self._lock:
             if request in self._handled or request in self._held:
                 return False

@@ -15,6 +15,7 @@ from midstride.runtime.view import instance_status
 from midstride.runtime.view.instance_status import endpoints
 from midstride.wire.state import THIS_HOST, ComponentState, Endpoint
 from tests.server.view.support import Viewed, viewed
+from tests.wire.bare_state import bare_state
 
 ALLOWS = (
     NodeEndpoint("topic", "/tf"),
@@ -26,17 +27,7 @@ INSTANCE = Instance("front/arm_2", "front/arm", replace(ComponentSpec.of("Arm"),
 
 
 def state(node: str | None) -> ComponentState:
-    return ComponentState(
-        instance="front/arm_2",
-        uuid="u",
-        pid=7,
-        revision=1,
-        functionalities={},
-        ports={},
-        parameters={},
-        stopping=0.0,
-        node=node,
-    )
+    return bare_state("front/arm_2", pid=7, node=node)
 
 
 def test_names_are_resolved_and_the_end_is_the_one_that_the_node_reported() -> None:

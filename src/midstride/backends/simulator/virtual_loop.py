@@ -2,7 +2,7 @@
 
 Then it jumps to the next timer on a :class:`VirtualLoop`, so a run of minutes takes no time, and gives the same result
 every time (the idea is trio's mock clock); real sockets still work: they are polled before each jump. On a
-:class:`PacedLoop` it passes as real time does, for whoever watches.
+:class:`PacedLoop` it passes as real time does, so that a user can watch.
 """
 
 from __future__ import annotations

@@ -203,7 +203,7 @@ def _change(options: RequestOptions, texts: dict[str, dict[str, str]], dry_run: 
 
 
 def _misread(client: Client, texts: dict[str, dict[str, str]]) -> str | None:
-    """What to write for the values that YAML reads as another type than their parameters have, if any."""
+    """Return what to write for values that YAML reads as another type than their parameters have; None without any."""
     from midstride.codec.parameter import value_of
 
     hints: list[str] = []

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
-from midstride.node.request_admission import PassableRequest, RequestAdmission
+from midstride.node.request_admission import PASS_AFTER, PassableRequest, RequestAdmission
 from midstride.wire import commands, replies
 from midstride.wire.channel import result_of
 from midstride.wire.commands import Command
@@ -104,15 +104,15 @@ class Answering:
             self.start(self._pass_on(address))
 
     def undecided(self) -> list[str]:
-        """The requests of which it is not known yet whether the successor has received them."""
-        return [] if self._successor is None else self.admission.passable()
+        """Return the requests of which it is not known yet whether the successor has received them."""
+        return [] if self._successor is None else list(self.admission.passable())
 
     async def _pass_on(self, address: str) -> None:
         while self._successor == address:
             if self.admission.is_open:  # it answers again
                 self._successor = None
                 return
-            if overdue := self.admission.overdue():
+            if overdue := self.admission.passable(PASS_AFTER):
                 await self._pass_overdue(overdue, address)
             await self.sleep(PASS_INTERVAL)
 

@@ -130,7 +130,10 @@ class SettingsWatch:
             await clock.sleep(INTERVAL)
 
     def _look(self) -> None:
-        """Raises BrokenBySetting where a node that was set has ended, or a functionality has degraded by itself."""
+        """Check what rates do not show.
+
+        Raises BrokenBySetting where a node that was set has ended, or a functionality has degraded by itself.
+        """
         for name in self.settings:
             if self.system.life.is_gone(name):
                 raise BrokenBySetting(f"{name} has ended after its parameters were set", name)

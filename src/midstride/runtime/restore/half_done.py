@@ -44,9 +44,8 @@ class HalfDone:
         ``because``: what it is. If it cannot be ended, that is said, and `down` tries again.
         """
         name, clock, before = instance.name, self.client.clock, self.events.last
-        await look_at_managers(
-            self.client, name, instance.component, PLAN_LOOK
-        )  # its agent is new, and has not seen it yet
+        # Its agent is new, and has not seen the manager yet.
+        await look_at_managers(self.client, name, instance.component, PLAN_LOOK)
         begun = clock.steady()
         try:
             await self.launcher.end(name)

@@ -215,7 +215,7 @@ class ForeignNodes:
             self.names.add(order.node)
 
     def _relay_has_found(self, instance: str) -> None:
-        """Its relay reports, so it has written which node its program has."""
+        """Read from its order the name of the program's node: a relay that reports has written it there."""
         try:
             order = RelayOrder.read(order_file(self._folder, instance))
             if order.unnamed and order.node:
