@@ -21,10 +21,13 @@ from midstride.foreign.page import load_library
 RUST_TALKER = Path(__file__).parents[1] / ".cache" / "rust" / "debug" / "rust_talker"
 SOURCE = Path(__file__).parent / "foreign" / "talker.c"
 LISTENER = SOURCE.with_name("listener.c")
+SERVER = SOURCE.with_name("server.c")
 _LIBRARIES = (
     "rcl",
     "rcutils",
     "rosidl_runtime_c",
+    "rcl_interfaces__rosidl_typesupport_c",
+    "rcl_interfaces__rosidl_generator_c",
     "std_msgs__rosidl_typesupport_c",
     "std_msgs__rosidl_generator_c",
 )

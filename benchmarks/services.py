@@ -1,0 +1,217 @@
+"""What replacing a server costs its clients: 20 bare clients at 10 Hz, each with one request at a time, on real ROS 2.
+
+Nodes without Midstride's API behind `gate preload`, in plain rclpy and in C on rcl, replaced by Midstride; beside them
+a server that is killed and another one started, whose clients give a request up after 1 s; and one that stays.
+Clients and servers count, in the same way for each. *At the cut* is what was sent between the last response of the old
+server and the first one of the new server, or at most a period (0.1 s) before or after.
+
+The results of each block of replacements are kept as soon as it is done, and the next run goes on with the rest; remove
+the file to begin anew. Interrupted or terminated, it ends what it has started.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.append(str(ROOT))
+
+from midstride.lang.load import load  # noqa: E402
+from tests.acceptance.foreign_support import robot  # noqa: E402
+from tests.acceptance.serving import Answered, Calls, calling, written  # noqa: E402
+from tests.backends.ros2_support import without_midstride  # noqa: E402
+
+PERIOD = 0.1
+# How many replacements one block has.
+BLOCK = 20
+# After how long a client gives up a request to a server that was killed (s).
+PATIENCE = 1.0
+# How long after a replacement, or between two looks at what the clients have written, nothing is done (s).
+REST, LOOK = 0.5, 0.2
+COLUMNS = ("swaps", "requests", "unanswered", "twice", "out of order")
+Figures = dict[str, Any]
+
+
+def cuts(answered: Sequence[Answered]) -> list[tuple[float, float]]:
+    """When each server answered last, and when the next one did first (monotonic, s)."""
+    done: dict[str, list[float]] = {}
+    for each in answered:
+        if each.server != "-":
+            done.setdefault(each.server, []).append(each.at + each.latency)
+    servers = sorted(done.values(), key=min)
+    return [(max(old), min(new)) for old, new in pairwise(servers)]
+
+
+def figures(calls: Calls, swaps: int) -> Figures:
+    """Of one block; times in s."""
+    answered = calls.answered
+    found = cuts(answered)
+
+    def at_the_cut(each: Answered) -> bool:
+        return any(min(old, new) - PERIOD <= each.at <= max(old, new) + PERIOD for old, new in found)
+
+    return {
+        "swaps": swaps,
+        "requests": len(answered),
+        "unanswered": len(calls.unanswered),
+        "twice": len(calls.handled_twice),
+        "out of order": len(calls.out_of_order),
+        "latencies": [each.latency for each in answered if each.server != "-"],
+        "at the cut": [each.latency for each in answered if each.server != "-" and at_the_cut(each)],
+        "silences": [max(0.0, new - old) for old, new in found],
+        "load": os.getloadavg()[0],
+    }
+
+
+async def replaced(folder: Path, swaps: int, kinds: tuple[str, str]) -> tuple[Figures, list[str]]:
+    """Midstride replaces the server; with the reasons of what was rolled back."""
+    rolled_back: list[str] = []
+    async with robot(load(written(folder)).require(), folder) as system:
+        done = 0
+        if kinds[1] != "Plain":
+            await system.replaced(kinds[1])
+        async with calling(folder, system.until) as calls:
+            while done < swaps:
+                outcome = await system.change(kinds[done % 2])
+                done += outcome.outcome == "done"
+                if outcome.outcome != "done":
+                    rolled_back.append(str(outcome.because))
+                await asyncio.sleep(REST)
+        return figures(calls, swaps), rolled_back
+
+
+def started(folder: Path, name: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, str(folder / "server.py"), "--ros-args", "-r", f"__node:={name}"]
+    return subprocess.Popen(command, env=without_midstride(), cwd=folder)
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
+
+
+async def looked(condition: Callable[[], bool], seconds: float = 60) -> None:
+    """Wait for a condition that takes a while to look at."""
+    async with asyncio.timeout(seconds):
+        while not condition():
+            await asyncio.sleep(LOOK)
+
+
+async def killed(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
+    """Each server is killed and another one started."""
+    written(folder)
+    server = started(folder, "server_0")
+
+    def handles(name: str) -> bool:
+        return any(server == name for _, server in calls.handled[-BLOCK:])
+
+    try:
+        async with calling(folder, looked, patience=PATIENCE) as calls:
+            for number in range(1, swaps + 1):
+                end(server)
+                server = started(folder, f"server_{number}")
+                await looked(partial(handles, f"server_{number}"))
+                await asyncio.sleep(10 * PERIOD)
+    finally:
+        end(server)
+    return figures(calls, swaps), []
+
+
+async def steady(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
+    """One server for as long as the replacements of one block take."""
+    written(folder)
+    server = started(folder, "server")
+    try:
+        async with calling(folder, looked) as calls:
+            await asyncio.sleep(5.0 * swaps)
+    finally:
+        end(server)
+    return figures(calls, 0), []
+
+
+Way = Callable[[Path, int], Awaitable[tuple[Figures, list[str]]]]
+WAYS: dict[str, Way] = {
+    "replaced, rclpy": lambda folder, swaps: replaced(folder, swaps, ("Other", "Plain")),
+    "replaced, C": lambda folder, swaps: replaced(folder, swaps, ("Info", "Id")),
+    "killed": killed,
+    "none": steady,
+}
+
+
+def quantiles(latencies: Sequence[float]) -> str:
+    """The median, 99 % and the longest, in ms."""
+    found = sorted(latencies)
+    if not found:
+        return f"{'–':>9}" * 3
+    chosen = (found[len(found) // 2], found[len(found) * 99 // 100], found[-1])
+    return "".join(f"{each * 1e3:>9.1f}" for each in chosen)
+
+
+def show(blocks: Sequence[Figures]) -> None:
+    print(f"{'':16}" + "".join(f"{name:>13}" for name in COLUMNS), end="")
+    print(f"{'all: median, 99 %, longest, ms':>33}{'at the cut':>18}{'no response':>24}{'load':>12}")
+    for way in WAYS:
+        if own := [block for block in blocks if block["way"] == way]:
+            sums = "".join(f"{sum(block[name] for block in own):>13}" for name in COLUMNS)
+            loads = [block["load"] for block in own]
+            keys = ("latencies", "at the cut", "silences")
+            times = "".join(quantiles([each for block in own for each in block[key]]) for key in keys)
+            print(
+                f"{way:16}{sums}      {quantiles(every)}{quantiles(at_the_cut)}  {min(loads):.1f} to {max(loads):.1f}"
+            )
+            for because in (each for block in own for each in block["rolled back"]):
+                print(f"{'':16}one was rolled back: {because}")
+
+
+async def measure(chosen: Sequence[str], swaps: int, out: Path) -> None:
+    """Measure what is not in ``out`` yet. SIGTERM and SIGINT end it, and what it has started."""
+    task = asyncio.current_task()
+    assert task is not None
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    while True:
+        blocks = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+        done = {way: sum(block["wanted"] for block in blocks if block["way"] == way) for way in chosen}
+        way = min(chosen, key=lambda each: done[each])
+        if done[way] >= swaps:
+            return
+        wanted = min(BLOCK, swaps - done[way])
+        with tempfile.TemporaryDirectory(prefix="ms") as folder:
+            found, rolled_back = await WAYS[way](Path(folder), wanted)
+        with out.open("a") as file:
+            print(json.dumps({"way": way, "wanted": wanted, "rolled back": rolled_back, **found}), file=file)
+        print(f"{way}: {done[way] + wanted} of {swaps}", flush=True)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--swaps", type=int, default=200)
+    parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "services.jsonl")
+    options = parser.parse_args()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    options.out.parent.mkdir(exist_ok=True)
+    try:
+        asyncio.run(measure(options.ways, options.swaps, options.out))
+    except asyncio.CancelledError:
+        return 1
+    blocks = [json.loads(line) for line in options.out.read_text().splitlines()]
+    show(blocks)
+    faults = [block[name] for block in blocks if block["way"].startswith("replaced") for name in COLUMNS[2:]]
+    return int(any(faults))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
