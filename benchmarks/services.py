@@ -168,9 +168,7 @@ def show(blocks: Sequence[Figures]) -> None:
             loads = [block["load"] for block in own]
             keys = ("latencies", "at the cut", "silences")
             times = "".join(quantiles([each for block in own for each in block[key]]) for key in keys)
-            print(
-                f"{way:16}{sums}      {quantiles(every)}{quantiles(at_the_cut)}  {min(loads):.1f} to {max(loads):.1f}"
-            )
+            print(f"{way:16}{sums}      {times}  {min(loads):.1f} to {max(loads):.1f}")
             for because in (each for block in own for each in block["rolled back"]):
                 print(f"{'':16}one was rolled back: {because}")
 
