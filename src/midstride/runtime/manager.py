@@ -381,7 +381,8 @@ class Manager:
         words = ", ".join(f"{name} = {value!r}" for name, value in values.items())
         async with self._reconciler.command(f"param set {node} {words}", id):
             what = f"param set {node} {words}"
-            if (because := self._session.forbidden(f"{by}: {what}" if by else f"`{what}`", override)) is not None:
+            said = f"{by}: {what}" if by else f"`{what}`"
+            if (because := self._session.permission.recorded_refusal(said, override)) is not None:
                 self.events.add("parameters", f"refused: {because}", outcome="refused")
                 raise ChangeForbidden(because)
             try:

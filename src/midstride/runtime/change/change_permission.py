@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import BackendError, ChangeForbidden
 from midstride.model.contract import format_number
 from midstride.model.specification import ChangeRequirement
+from midstride.plan.lowering import PlanLowering
+from midstride.plan.plan import Plan
 from midstride.runtime.backend_protocol import Backend, HeardMessage, TopicListener
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.state_store import StateStore
@@ -80,6 +82,36 @@ class ChangePermission:
         if override.requirements:
             found += [each.words for each in self.requirements() if not each.holds]
         return "; ".join(found) or None
+
+    def recorded_refusal(self, what: str, override: Override, *, recovery: bool = False) -> str | None:
+        """As :meth:`refusal`; a refusal, and what ``override`` ignores, are recorded as incidents of ``what``."""
+        because = self.refusal(override, recovery=recovery)
+        if because is not None:
+            self.events.add("forbidden", f"{what}: refused, since {because}")
+        elif (ignored := self.overridden(override)) is not None:
+            self.events.add("override", f"{what}: carried out although {ignored}")
+        return because
+
+    def requirement_check(self, plan: Plan, override: Override, *, recovery: bool) -> Callable[[Sequence[int]], None]:
+        """Return the function to call with the steps of ``plan`` that are about to begin.
+
+        Before any that lower a functionality, the requirements are judged once more. Where one does not hold, the
+        change goes on if to finish it lowers less than to roll it back; else ChangeForbidden is raised.
+        """
+        lowering = PlanLowering(plan)
+
+        def require(indices: Sequence[int]) -> None:
+            if not self._listeners or not any(map(lowering.lowers, indices)):
+                return
+            if (because := self.unmet(override, recovery=recovery)) is None:
+                return
+            finishing, rolling_back = lowering.finishing(indices[0]), lowering.rolling_back(indices[0])
+            less = f"to finish lowers {finishing}, to roll back {rolling_back}"
+            if not lowering.is_better_finished(indices[0]):
+                raise ChangeForbidden(f"{because}; {less}")
+            self.events.add("finished_despite", f"the change goes on before step {indices[0] + 1}, {less}: {because}")
+
+        return require
 
     async def until_recovery(self) -> None:
         """Return when the manager may restart what has crashed."""

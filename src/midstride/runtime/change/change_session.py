@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -16,7 +16,7 @@ from typing import Final
 from msgspec import UNSET, UnsetType, structs
 
 from midstride.codec.parameter import from_json
-from midstride.errors import BackendError, ChangeForbidden, ManagerError, PlanRefused, StepFailed, Superseded
+from midstride.errors import BackendError, ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
 from midstride.model.action import Action, Create, Upgrade
 from midstride.model.component import PortRef
@@ -26,7 +26,6 @@ from midstride.model.wording import counted
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms.plan_forms import PlanForm, PlanPreview
-from midstride.plan.lowering import PlanLowering
 from midstride.plan.overlap import overlap
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
@@ -188,7 +187,7 @@ class ChangeSession:
         ``recovery``: the manager asks for it without a command.
         """
         what = by or f"`{request.describe()}`"
-        if (because := self.forbidden(what, override, recovery=recovery)) is not None:
+        if (because := self.permission.recorded_refusal(what, override, recovery=recovery)) is not None:
             return self._refuse(because)
         if expected is not None and expected != self.system.revision:
             because = "the configuration has changed since the plan was shown; look at the new plan"
@@ -218,40 +217,8 @@ class ChangeSession:
             )
         except ManagerError as error:
             return self._refuse(str(error), verdict)
-        change.require = self._requirements_during(change, override, recovery)
+        change.require = self.permission.requirement_check(plan, override, recovery=recovery)
         return await self.carry_out(change)
-
-    def forbidden(self, what: str, override: Override, *, recovery: bool = False) -> str | None:
-        """Why a change must not begin now, None if it may. Both that and an override are incidents of ``what``."""
-        because = self.permission.refusal(override, recovery=recovery)
-        if because is not None:
-            self.events.add("forbidden", f"{what}: refused, since {because}")
-        elif (ignored := self.permission.overridden(override)) is not None:
-            self.events.add("override", f"{what}: carried out although {ignored}")
-        return because
-
-    def _requirements_during(
-        self, change: RunningChange, override: Override, recovery: bool
-    ) -> Callable[[Sequence[int]], None]:
-        """What is called with the steps that are about to begin.
-
-        Before any that lower a functionality, the requirements are judged once more. Where one does not hold, the
-        change goes on if to finish it lowers less than to roll it back; else ChangeForbidden is raised.
-        """
-        lowering = PlanLowering(change.plan)
-
-        def require(indices: Sequence[int]) -> None:
-            if not self.system.specification.requirements or not any(map(lowering.lowers, indices)):
-                return
-            if (because := self.permission.unmet(override, recovery=recovery)) is None:
-                return
-            finishing, rolling_back = lowering.finishing(indices[0]), lowering.rolling_back(indices[0])
-            less = f"to finish lowers {finishing}, to roll back {rolling_back}"
-            if not lowering.is_better_finished(indices[0]):
-                raise ChangeForbidden(f"{because}; {less}")
-            self.events.add("finished_despite", f"the change goes on before step {indices[0] + 1}, {less}: {because}")
-
-        return require
 
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
