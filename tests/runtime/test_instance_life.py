@@ -197,6 +197,14 @@ def test_one_whose_restoring_is_undone_is_missing_as_before() -> None:
     assert life["talker"].role == "talker"
 
 
+def test_the_exit_of_an_earlier_process_of_that_name_is_not_that_of_the_next_one() -> None:
+    life = after(*CRASHED)
+    life.take_exited({})
+    assert life["talker"].is_owned, "what is left of it can still be ended"
+    life.started("talker", HANDLE)
+    assert life["talker"].exit is None
+
+
 def test_one_that_was_restored_is_not_missing() -> None:
     life = after(*CRASHED)
     life.take_exited(MODEL)

@@ -223,6 +223,28 @@ def test_a_replacement_that_dies_leaves_the_old_one_receiving(op: str, tmp_path:
     sinking(tmp_path, body)
 
 
+def test_a_replacement_is_made_whose_first_attempt_has_died(tmp_path: Path) -> None:
+    """The second attempt has the name of the first one, and not its exit."""
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        async def look(to: str, sent: str) -> None:
+            if (to, sent) == ("sink_2", "modes") and not outcomes:
+                simulator.faults.kill("sink_2")
+                await settle()  # its exit is known before the step fails
+
+        outcomes: list[str] = []
+        simulator.control.before_request = look
+        for _ in range(2):
+            await settle()
+            outcomes.append((await manager.change(RESTART)).outcome)
+        assert outcomes == ["rolled_back", "done"]
+        await settle()
+        assert_each_once(tmp_path)
+        assert {line[2] for line in noted(tmp_path)} == {"sink", "sink_2"}
+
+    sinking(tmp_path, body)
+
+
 @pytest.mark.parametrize("op", ["cut_out", "cut_in", "await_cut"])
 def test_one_of_the_two_receives_whenever_the_manager_dies(op: str, tmp_path: Path) -> None:
     """Each message once, without a manager and with the next one, which ends the other of the two."""

@@ -56,3 +56,28 @@ def test_a_component_must_notice_the_silence_of_what_it_has_received(count: int)
     specification = rover(random.Random(0)).specification
     shown = Shown("detector", "", specification.components["Detector"], (("detect", "normal"),), (("in", "/scan"),))
     assert Oracle([specification]).reflex_applies(shown, "detect", received(process)) is bool(count)
+
+
+@pytest.mark.parametrize(
+    ("modes", "violations"),
+    [
+        (("normal", "normal"), ["out of both talker and talker_2 is open on /chatter"]),
+        (("off", "normal"), ["out of both talker and talker_2 is open on /chatter"]),
+        (("off", "off"), []),  # there is nothing to take over
+    ],
+)
+def test_the_outputs_of_two_instances_are_both_open_only_while_neither_guarantees_anything(
+    modes: tuple[str, str], violations: list[str]
+) -> None:
+    component = rover(random.Random(0)).specification.components["Lidar"]
+    pair = publisher("talker", 1), publisher("talker_2", 2)
+    for process, mode in zip(pair, modes, strict=True):
+        process._stand_in = SimpleNamespace(component=component)
+        process._published = SimpleNamespace(functionalities={"scan": SimpleNamespace(mode=mode)})
+        process.open_outputs = lambda: {("out", "/chatter")}
+    platform: Any = SimpleNamespace(stand_ins=lambda: pair)
+    found: list[str] = []
+    invariants = Invariants(platform, SimpleNamespace())  # type: ignore[arg-type]
+    invariants.begin(lambda: math.inf, lambda apart: 0.0, lambda: True, found.append)
+    invariants._check_gates(pair[0])
+    assert found == violations

@@ -218,6 +218,8 @@ class LifeTable:
                     life.handle = None
                 if event is ProcessEvent.REPLACED:
                     life.role = None
+                if life.process not in {ProcessState.EXITED, ProcessState.MISSING}:
+                    life.exit = None  # of an earlier process of that name
                 if life.process is not before:
                     self._lives[name] = self._lives.pop(name)
             case ConnectionEvent():
