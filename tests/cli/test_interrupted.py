@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -238,16 +240,24 @@ def test_down_that_is_interrupted_says_what_the_manager_does(
 
 
 def test_down_that_waits_for_a_change_and_is_interrupted_says_so(
-    midstride: Midstride, monkeypatch: pytest.MonkeyPatch
+    midstride: Midstride, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    up = midstride("up", str(EXAMPLES / "talker" / "talker.stride"), "--backend", "sim", "--detach")
+    """The change is broken off at once; what it waits for is the end of an instance, which takes its time."""
+    folder = shutil.copytree(EXAMPLES / "talker", tmp_path / "talker")
+    program = (folder / "talker.py").read_text()
+    slow = "import time\ncomp.on_stop(lambda: time.sleep(2))\ncomp.start()"
+    (folder / "talker.py").write_text(program.replace("comp.start()", slow))
+    up = midstride("up", str(folder / "talker.stride"), "--backend", "sim", "--detach")
     assert up.status == 0, up.err
-    for path in ("/change", "/down"):  # the measurement alone takes 2 s
+    for path in ("/change", "/down"):
         with monkeypatch.context() as patched:
             interrupted_after(patched, path)
             command = ("restart", "talker", "--yes", "--json") if path == "/change" else ("down",)
             done = here(midstride, *command)
-    assert done.status == 130
+        assert done.status == 130
+        if path == "/change":
+            until(lambda: any("hand over" in each["words"] for each in midstride("log", "--json").json))
+    assert "talker is carrying out `restart talker`, which is broken off and rolled back first …" in done.err
     waits = "The manager stops talker later: `down` waits for `restart talker`. `midstride status` shows what runs."
     assert waits in done.err
     until(lambda: "no system is running" in midstride("status").err)

@@ -401,9 +401,9 @@ def test_ctrl_c_during_start_up_stops_the_system(midstride: Midstride, tmp_path:
     (tmp_path / "listener.py").write_text((EXAMPLES / "talker" / "listener.py").read_text())
     file = tmp_path / "never.json"
     file.write_text(json.dumps(document))
-    midstride.environment["MIDSTRIDE_REGISTRATION_TIMEOUT"] = "4"
+    midstride.environment["MIDSTRIDE_REGISTRATION_TIMEOUT"] = "1000"
     with Terminal(midstride, "up", str(file), "--backend", "sim") as terminal:
-        terminal.until("create listener")  # while the talker does not register
+        terminal.until("create listener")  # while the talker does not register, longer than any test may take
         terminal.press("\x03")
         assert "Stopping everything started for talker" in terminal.rest()
         assert terminal.status == 130

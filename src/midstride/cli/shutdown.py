@@ -51,7 +51,8 @@ def stop(client: Client, workspace: Workspace) -> DownReport:
         status = client.status()
         _say_lock(status.lock)
         if (running := status.running) is not None:
-            click.echo(f"{workspace.name} is carrying out `{running.command}` and will stop afterwards …", err=True)
+            what = "ends first" if running.command == "down" else "is broken off and rolled back first"
+            click.echo(f"{workspace.name} is carrying out `{running.command}`, which {what} …", err=True)
         report = client.down(sending.id, sending.begin)
         wait_for_manager_exit(workspace)
     return report

@@ -24,7 +24,9 @@ T = TypeVar("T")
 
 # How long a manager that has failed waits for a client to read why (s).
 LINGER: Final = 5.0
-_INTERRUPTED: Final = "the manager was terminated; the operation was interrupted and rolled back"
+_INTERRUPTED: Final = "the operation was interrupted and rolled back"
+_TERMINATED: Final = "the manager was terminated"
+_TAKEN_DOWN: Final = "`down` stops the system"
 _ROLLING_BACK: Final = (
     "the manager was terminated and is still rolling back; `midstride up` with the system's file finds what is running"
 )
@@ -47,18 +49,24 @@ class Lifecycle:
         self.ended = asyncio.Event()
         self.failure: MidstrideError | None = None
         self._failure_read = asyncio.Event()
+        self._bringing_up: asyncio.Task[None] | None = None
+        self._taking_down: asyncio.Event | None = None  # set once it has ended
         self._report: UpReport | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
         self._breakable: set[asyncio.Task[Any]] = set()
 
-    async def bring_up(self) -> None:
-        """Bring the system up; afterwards ``phase`` is ``up`` or ``failed``. Raises nothing."""
+    def bring_up(self) -> asyncio.Task[None]:
+        """Bring the system up in a task, which raises nothing; afterwards ``phase`` is ``up`` or ``failed``."""
+        self._bringing_up = asyncio.ensure_future(self._bring_up())
+        return self._bringing_up
+
+    async def _bring_up(self) -> None:
         try:
             self._report = await self.manager.up()
         except MidstrideError as error:
             self.failure = error
         except asyncio.CancelledError:
-            self.failure = ManagerError(f"the system is not up: {_INTERRUPTED}")
+            self.failure = ManagerError(f"the system is not up: {self._why_interrupted}")
         except Exception as error:  # a fault of ours must still end in an answer
             log.exception("bringing the system up failed")
             self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
@@ -94,16 +102,25 @@ class Lifecycle:
             return await asyncio.shield(task)
         except asyncio.CancelledError:
             if task.cancelled():
-                raise ManagerError(_INTERRUPTED) from None
+                raise ManagerError(self._why_interrupted) from None
             if self.ended.is_set():  # the server closed before the work was complete
                 raise ManagerError(_ROLLING_BACK if breakable else _STILL_ENDING) from None
             raise
 
-    async def interrupt(self) -> None:
-        """Interrupt every change and wait for its roll-back, while the components can still be reached."""
-        for task in list(self._breakable):
+    @property
+    def _why_interrupted(self) -> str:
+        return f"{_TERMINATED if self._taking_down is None else _TAKEN_DOWN}; {_INTERRUPTED}"
+
+    def _interrupt(self) -> None:
+        """Interrupt every change, and the start of the system; each is rolled back in its own task."""
+        for task in [*self._breakable, *([] if self._bringing_up is None else [self._bringing_up])]:
             task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    async def interrupt(self) -> None:
+        """Interrupt every change and the start, and wait for their roll-back, while components can be reached."""
+        self._interrupt()
+        bringing_up = [] if self._bringing_up is None else [self._bringing_up]
+        await asyncio.gather(*bringing_up, *self._tasks, return_exceptions=True)
 
     def require_up(self) -> None:
         """Raises ManagerError while there is no running system to change."""
@@ -115,8 +132,19 @@ class Lifecycle:
             raise ManagerError("the system is down")
 
     async def take_down(self, id: str | None = None) -> DownReport:
-        """Stop the system and then the manager. Raises ManagerError if a component would not exit."""
-        report = await self.manager.down(id)
+        """Stop the system and then the manager. Raises ManagerError if a component would not exit.
+
+        What the manager is doing is interrupted first: the start of the system, or a change, may wait for long.
+        """
+        self._taking_down = ended = asyncio.Event()
+        self._interrupt()
+        try:
+            report = await self.manager.down(id)
+        except BaseException:
+            self._taking_down = None
+            raise
+        finally:
+            ended.set()
         self.phase = "down"
         self.on_phase()
         self.ended.set()
@@ -127,10 +155,12 @@ class Lifecycle:
         ended, up_ended = (asyncio.ensure_future(event.wait()) for event in (self.ended, self.up_ended))
         await asyncio.wait({ended, up_ended}, return_when=asyncio.FIRST_COMPLETED)
         up_ended.cancel()
-        if self.phase == "failed":
+        if (down := self._taking_down) is not None:  # the start was interrupted for it
+            await down.wait()
+        if self.phase != "failed":
+            await ended
+        elif down is None:
             with contextlib.suppress(asyncio.TimeoutError):
                 async with within(LINGER):
                     await self._failure_read.wait()
-            ended.cancel()
-        else:
-            await ended
+        ended.cancel()

@@ -59,18 +59,17 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
         with _on_signals(lifecycle.ended.set):
             live.start()
             serving = [asyncio.ensure_future(server.serve()) for server in servers]
-            up = asyncio.ensure_future(lifecycle.bring_up())
+            lifecycle.bring_up()
             over = asyncio.ensure_future(lifecycle.until_over())
             await asyncio.wait({over, *serving}, return_when=asyncio.FIRST_COMPLETED)
             lifecycle.ended.set()
-            up.cancel()
             over.cancel()
             interrupting = asyncio.ensure_future(lifecycle.interrupt())
             for server in servers:
                 server.should_exit = True
             ends = await asyncio.gather(*serving, return_exceptions=True)
             live.close()
-            await asyncio.gather(up, over, interrupting, return_exceptions=True)
+            await asyncio.gather(over, interrupting, return_exceptions=True)
             await manager.close()
     failures = [end for end in ends if isinstance(end, Exception)]
     for failure in failures:

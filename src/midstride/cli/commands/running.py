@@ -185,7 +185,10 @@ def _follow(client: Client, since: int) -> int:
 @system_option
 @json_option
 def down_command(system: str | None) -> int:
-    """Stop all components of a system, and its manager."""
+    """Stop all components of a system, and its manager.
+
+    What the manager is doing is broken off: a start that waits for a node, or a change, which is rolled back first.
+    """
     from midstride.cli.shutdown import shut_down
     from midstride.codec.form import encode
 

@@ -36,6 +36,8 @@ class BringUp:
     restorer: Restorer
     options: SystemOptions
     workspace: str
+    # Whether it was cancelled during a change, which its roll-back or its end has not shown.
+    _broken_off: bool = False
 
     def __post_init__(self) -> None:
         shared = self.session
@@ -64,7 +66,7 @@ class BringUp:
                 missing |= left_out
                 await self.reconciler.reconcile_all(f"{', '.join(left_out)} could not be started")
         except (PlanRefused, StepFailed) as error:
-            if alone or not gone:
+            if alone or not gone or self._broken_off:
                 raise
             missing = dict.fromkeys(gone, str(error))
             for role in gone if len(gone) > 1 else ():
@@ -106,6 +108,8 @@ class BringUp:
         Returns the roles that a ``partial`` change has left out, and why: what relies on them is lowered, and the rest
         is for the next call. Raises StepFailed after a roll-back.
         """
+        if self._broken_off:
+            raise asyncio.CancelledError
         system = self.system
         running = system.specification
         target = specification
@@ -134,10 +138,11 @@ class BringUp:
         if plan.steps or specification != running:
             begun = await self.session.begin(plan, specification, "up", is_new=is_new, partial=partial, required=False)
             outcome = await self.session.carry_out(begun)
+            self._broken_off = begun.recording.broken_off.is_set()
+            if self._broken_off and outcome.outcome in ("rolled_back", "incomplete"):
+                raise asyncio.CancelledError  # the manager is to end, and begins no other change
             if outcome.outcome not in ("done", "incomplete"):
                 raise StepFailed(str(outcome.because), outcome.outcome)
-            if begun.left_out and begun.recording.broken_off.is_set():
-                raise asyncio.CancelledError  # the manager is to end, and begins no other change
             return begun.left_out
         self.system.configuration = change.in_target_context(self.system.configuration)
         return {}
@@ -155,6 +160,8 @@ class BringUp:
                 if plan.steps:
                     begun = await self.session.begin(plan, target, request.describe(), "up", required=False)
                     outcome = await self.session.carry_out(begun)
+                    if begun.recording.broken_off.is_set():
+                        raise asyncio.CancelledError
                     if outcome.outcome != "done":
                         raise PlanRefused(str(outcome.because))
             except PlanRefused as error:
