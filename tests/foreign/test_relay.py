@@ -158,6 +158,21 @@ def test_what_is_written_once_is_published_when_the_gate_opens(tmp_path: Path) -
     managed(tmp_path, ONCE, programs(most=1), body)
 
 
+def test_of_a_latched_output_as_many_are_published_as_its_depth(tmp_path: Path) -> None:
+    """Behind the gate and before the mode was entered: late joiners of the program itself would have as many."""
+
+    async def body(manager: Manager, simulator: SimulatedRelays) -> None:
+        await asyncio.sleep(1)
+        assert writers(simulator.heard["listener"]) == [("talker", 3), ("talker", 4), ("talker", 5)]
+        outcome = await manager.change(REPLACE)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        await asyncio.sleep(1)
+        assert writers(simulator.heard["listener"])[3:] == [("talker_2", 3), ("talker_2", 4), ("talker_2", 5)]
+
+    latched = ONCE.replace("std_msgs/msg/String", "std_msgs/msg/String qos(durability = transient_local, depth = 3)")
+    managed(tmp_path, latched, programs(most=5), body)
+
+
 def test_the_fields_of_relayed_messages_are_checked(tmp_path: Path) -> None:
     """Of what a program publishes, and of what it receives; only then are messages read."""
 

@@ -32,9 +32,9 @@ def test_nothing_passes_a_fence_however_the_gate_is_set_and_it_is_not_counted_as
 
 def test_the_last_message_that_the_gate_has_held_back_is_written_for_late_joiners() -> None:
     link, published = link_of(Owner())
-    assert not link.write_last_gated() and published == []
+    assert not link.write_kept() and published == []
     write(link, "first")
     write(link, "last")
     assert (published, link.gated) == ([], 2)
-    assert link.write_last_gated()
+    assert link.write_kept()
     assert (published, link.count) == (["last"], 1)

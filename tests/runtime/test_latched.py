@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from pathlib import Path
 
 import pytest
@@ -92,3 +93,54 @@ def test_one_that_is_attached_again_has_its_message_on_the_topic_again(tmp_path:
     outcome, after = simulator.run(main())
     assert outcome.outcome == "rolled_back"
     assert after == ["mapper"]
+
+
+_SEVERAL = """
+from midstride import Component, QoS
+from std_msgs.msg import String
+
+comp = Component("mapper")
+out = comp.create_output("out", String, qos=QoS(durability="transient_local", depth=3))
+mapping = comp.create_functionality("map", outputs=[out])
+message = String()
+
+
+def normal():
+    for each in range(5):
+        message.data = f"{comp.instance} {each}"  # one object, filled again
+        out.write(message)
+
+
+mapping.set_normal_mode(normal, outputs=[out])
+mapping.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+@pytest.mark.parametrize("strategy", ["minimal", "paper"])
+def test_late_joiners_have_as_many_messages_as_the_publisher_keeps_after_a_replacement(
+    strategy: str, tmp_path: Path
+) -> None:
+    (tmp_path / "mapper.py").write_text(_SEVERAL)
+    kept = {"type": "std_msgs/msg/String", "qos": {"durability": "transient_local", "depth": 3}}
+    text = json.dumps(_SYSTEM).replace(json.dumps(_MAP), json.dumps(kept))
+    simulator = Simulator()
+
+    async def main() -> tuple[list[str], Outcome, list[str], Outcome, list[str]]:
+        manager = Manager(decode_specification(json.loads(text)), simulator, Workspace(tmp_path), tmp_path)
+        await manager.up()
+        try:
+            before = await late_joiner(simulator)
+            outcome = await manager.change(replace("mapper", "Mapper2", strategy))
+            after = await late_joiner(simulator)
+            simulator.faults.fail_next("mapper_2", "export_state", "refused")
+            removed = await manager.change(PlanRequest(remove=("mapper",)))
+            return before, outcome, after, removed, await late_joiner(simulator)
+        finally:
+            await manager.close()
+
+    before, outcome, after, removed, restored = simulator.run(main())
+    assert before == ["mapper 2", "mapper 3", "mapper 4"]
+    assert (outcome.outcome, outcome.because) == ("done", None)
+    assert after == ["mapper_2 2", "mapper_2 3", "mapper_2 4"]
+    assert removed.outcome == "rolled_back" and restored == after

@@ -16,8 +16,9 @@ import math
 import os
 import signal
 import sys
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -95,23 +96,34 @@ class Relay:
     topic: str
     qos: QoS
     rated: bool
-    passed: Any = None
+    # Of an output without a rate, the newest messages that have not been passed on: as many as late joiners shall have.
+    waiting: deque[Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.waiting = deque(maxlen=0 if self.rated else self.output.kept.maxlen)
 
     def subscribe(self, host: Host) -> None:
         """On the data thread."""
         link = InputLink(self.source, self.topic, MessageTimes(host.now))
         receive = self.source.receiver(link, host)
-        link.endpoint = host.create_subscription(self.topic, self.source.type, self.qos, receive)
+
+        def received(message: Any, info: Any) -> None:
+            self.waiting.append(message)
+            receive(message, info)
+
+        link.endpoint = host.create_subscription(self.topic, self.source.type, self.qos, received)
         self.source.links = (link,)
 
     def write(self, message: Any) -> None:
-        self.passed = message
+        if any(each is message for each in self.waiting):
+            while self.waiting.popleft() is not message:  # an earlier one is not written after it
+                pass
         self.output.write(message)
 
-    def write_last(self) -> None:
+    def write_waiting(self) -> None:
         """Write what was published once before the mode was entered, as a map that is latched."""
-        if not self.rated and self.source.latest is not None and self.source.latest is not self.passed:
-            self.write(self.source.latest)
+        for message in tuple(self.waiting):
+            self.write(message)
 
     @property
     def matched(self) -> bool:
@@ -201,7 +213,7 @@ class RelayComponent:
 
         def enter() -> None:
             for relay in relays:
-                relay.write_last()
+                relay.write_waiting()
 
         handlers = tuple((relay.source, relay.write) for relay in relays)
         driven: Any = "message" if relays else "none"

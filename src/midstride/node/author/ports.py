@@ -25,6 +25,9 @@ REMEMBERED: Final = 64
 # How many it keeps while it records; the oldest are dropped first.
 RECORDED: Final = 200_000
 
+# How many messages are kept for late joiners of a transient-local output whose history has no bound.
+MOST_KEPT: Final = 1000
+
 # How long after a message of a program outside a cut is, as a share of its period: more than its jitter.
 AFTER: Final = 0.25
 
@@ -97,7 +100,7 @@ class OutputLink:
         "endpoint",
         "gated",
         "held",
-        "last_gated",
+        "kept",
         "open",
         "output",
         "publish",
@@ -115,7 +118,9 @@ class OutputLink:
         self.open = False
         self.count = 0
         self.gated = 0
-        self.last_gated: Any = None
+        # The newest that the gate has held back, which late joiners shall have: one, or of a transient-local output
+        # without a rate as many as its depth.
+        self.kept: deque[Any] = deque(maxlen=output.kept.maxlen)
         # What the gate has held back since the old side of a cut closed it, as long as that side may write again.
         self.held: deque[Any] | None = None
         self.cut: GatePolicy | None = None
@@ -155,17 +160,16 @@ class OutputLink:
         cut = self.cut
         if cut is None or not cut.publish(self, message):
             self.gated += 1
-            self.last_gated = message
+            self.output.keep(message, self.kept)
             if self.held is not None:
                 self.held.append(copy.deepcopy(message))  # the author may fill and write the same object again
 
-    def write_last_gated(self) -> bool:
-        """Publish the last message that the gate has held back, for late joiners; whether there was one."""
-        if self.last_gated is None:
-            return False
-        self.publish(self.last_gated)
-        self.count += 1
-        return True
+    def write_kept(self) -> bool:
+        """Publish the newest that the gate has held back, for late joiners; whether there was any."""
+        for message in self.kept:
+            self.publish(message)
+            self.count += 1
+        return bool(self.kept)
 
     def set_gate(self, open_: bool, by: GatePolicy | None = None) -> None:
         """Open or close the gate, and take this attachment out of its cut; ``by`` the end of a cut."""
@@ -285,11 +289,13 @@ class Output(_Port[OutputLink]):
         self.type = type_
         self.qos = qos
         self.unattached = 0
-        # The last message of a transient-local output, else the last one that was written while unattached.
-        self.latched = qos.effective().durability == "transient_local"
+        # The newest messages of a transient-local output, else the last one that was written while unattached.
+        effective = qos.effective()
+        self.latched = effective.durability == "transient_local"
+        depth = MOST_KEPT if effective.history == "keep_all" else effective.depth or 1
+        self.kept: deque[Any] = deque(maxlen=depth if self.latched else 1)
         # Whether a program outside writes it, on a grid that is only known by its messages (midstride.foreign.relay).
         self.relayed = False
-        self.last: Any = None
         self.wrong_type: str | None = None
         self.fields = FieldChecks()
 
@@ -312,7 +318,7 @@ class Output(_Port[OutputLink]):
             raise NodeError(f"{self.wrong_type}; write {self.name}.write({self.type.__name__}(…))")
         links = self.links
         if self.latched or not links:
-            self.last = message
+            self.keep(message, self.kept)
         if not links:
             self.unattached += 1
         now = 0
@@ -325,6 +331,14 @@ class Output(_Port[OutputLink]):
                 link.write_gated(message)
         if links and self.fields.active:
             self.fields.sample(message, now)
+
+    def keep(self, message: Any, kept: deque[Any]) -> None:
+        """Add ``message`` to those that are ``kept`` for late joiners. Where there is a rate, the newest is enough."""
+        if self.rate is not None:
+            kept.clear()
+        elif self.latched:
+            message = copy.deepcopy(message)  # the author may fill and write the same object again
+        kept.append(message)
 
     def observed_grid(self) -> tuple[int, float] | None:
         """Where messages come at a steady rate: a moment shortly after one of them (ns), and their period (s).

@@ -132,7 +132,7 @@ class Attachments:
         def switch() -> None:
             link.set_gate(command.gate == "open")
             if command.latch:
-                link.write_last_gated()
+                link.write_kept()
 
         await self.data.run(switch, command.timeout)
         return replies.Done()
@@ -233,8 +233,8 @@ class Attachments:
             return inlet
         link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos), times)
         once = port.owner.driven == "none" or (port.relayed and port.rate is None)
-        if port.last is not None and (port.latched or once):
-            link.write_gated(port.last)  # what writes once may have written while unattached
+        for message in port.kept if port.latched or once else ():
+            link.write_gated(message)  # what writes once may have written while unattached
         port.wrong_type = None
         port.links = (*port.links, link)
         return link
@@ -242,7 +242,7 @@ class Attachments:
     def _open(self, link: OutputLink) -> None:
         link.set_gate(True)
         if link.output.latched:
-            link.write_last_gated()
+            link.write_kept()
 
     def _destroy_all(self) -> None:
         for port in self.parts.ports.values():

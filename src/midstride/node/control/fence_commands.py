@@ -23,7 +23,7 @@ from midstride.wire import commands, replies
 TICK: Final = 0.002
 # The functions that may already have decided to publish.
 _WRITING: Final = frozenset(
-    function.__code__ for function in (Output.write, OutputLink.write_gated, OutputLink.write_last_gated)
+    function.__code__ for function in (Output.write, OutputLink.write_gated, OutputLink.write_kept)
 )
 
 

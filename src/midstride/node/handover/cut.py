@@ -311,7 +311,7 @@ class OutgoingCut(_Agreed, OutgoingSide):
 class IncomingSide(CutSide):
     """The new side. ``written`` holds each link's first write.
 
-    ``latches``: the links whose last message was written once, behind the gate, and is written again at the cut.
+    ``latches``: the links whose messages were written once, behind the gate; what is kept is written again at the cut.
     """
 
     latches: Sequence[OutputLink] = ()
@@ -332,14 +332,15 @@ class IncomingSide(CutSide):
         return True
 
     def latch(self) -> None:
-        """For late joiners, publish the last gated message of each output that has written nothing since T.
+        """For late joiners, publish what is kept behind the gate of each output that has written nothing since T.
 
         A quiet side that has none takes over without a message.
         """
         for link in self.latches:
-            due = link.cut is self and link not in self.written and link.last_gated is not None
+            due = link.cut is self and link not in self.written and bool(link.kept)
             if due and self.may_latch():
-                self._write(link, link.last_gated)
+                for message in link.kept:
+                    self._write(link, message)
         if self.quiet and not self.written and not self.taken:
             self.taken = self._take()
 
