@@ -72,8 +72,9 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() ->
         state = bare_state("talker", node="/talker", **seen)
         component = ComponentSpec.of("Talker", gate="preload")
         latest = LatestState(state, 0.0)
-        found = [*what_ended("talker", component, LastKnown(latest), planned=True), *two_writers("talker", latest)]
-        return [each.words for each in found]
+        found = what_ended("talker", component, LastKnown(latest), planned=True)
+        both = two_writers("talker", latest, component, component)
+        return [each.words for each in (*found, *both)]
 
     assert said() == []
     assert said(looked=False) == ["what others rely on of talker besides its ports: it had just been started"]
@@ -90,6 +91,22 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() ->
         "requests and goals of talker that are under way at ROS action /pick",
         "which instance writes on /diag",
     ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [("preload", "preload", ["/diagnostics"]), ("preload", "none", ["/tf", "/diagnostics"])],
+)
+def test_a_topic_that_is_handed_over_has_one_writer(old: Gate, new: Gate, named: list[str]) -> None:
+    """It is, where both instances have the library, and it has a gate for that topic."""
+    undeclared = [
+        UndeclaredTopic(output=True, topic="/tf", type="x", handed_over=True),
+        UndeclaredTopic(output=True, topic="/diagnostics", type="x"),
+    ]
+    latest = LatestState(bare_state("talker", node="/talker", undeclared=undeclared), 0.0)
+    before, after = (ComponentSpec.of("Talker", run="talker", gate=gate) for gate in (old, new))
+    (said,) = two_writers("talker", latest, before, after)
+    assert [topic for topic in ("/tf", "/diagnostics") if topic in said.words] == named
 
 
 @pytest.mark.parametrize(

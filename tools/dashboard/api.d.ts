@@ -557,7 +557,7 @@ declare namespace Api {
     as_modelled: boolean;
     /** in which way its node is not what is declared */
     differences: string[];
-    /** the topics of its node that are no ports: they have no gate */
+    /** the topics of its node that are no ports */
     undeclared: string[];
     /** that end with it, besides its own */
     other_nodes: OtherNodeStatus[];

@@ -216,7 +216,7 @@ def platform(status: Status) -> RenderableType:
     if middleware.set or middleware.kept:
         lines.append(settings)
     undeclared = [
-        f"{component.name} {words}: no port states that, so it has no gate and no contract"
+        f"{component.name} {words}: no port states that, so it has no contract"
         for component in status.instances
         for words in component.undeclared
     ]

@@ -423,6 +423,21 @@ static bool listed(unsigned me, const char *topic)
          strcmp(topic, "/parameter_events") != 0;
 }
 
+static bool ends_with(const char *text, const char *end)
+{
+  size_t length = strlen(text), own = strlen(end);
+  return length >= own && strcmp(text + length - own, end) == 0;
+}
+
+/* Whether only one node of a role may write on this topic, which is no port: not where it says something of the process
+ * itself, and not of ROS actions, whose goals stay with their server. */
+static bool handed_over(unsigned me, const char *topic)
+{
+  return atomic_load(&page->nodes[me - 1].unstated) && strcmp(topic, "/rosout") != 0 &&
+         strcmp(topic, "/parameter_events") != 0 && strcmp(topic, "/diagnostics") != 0 && !ends_with(topic, "/bond") &&
+         !ends_with(topic, "/transition_event") && !strstr(topic, "/_action/");
+}
+
 /* The port of the node `me` with that topic; NULL where there is none. With `lock`. */
 static struct port *port_of(unsigned me, const char *topic, uint32_t kind)
 {
@@ -436,12 +451,20 @@ static struct port *port_of(unsigned me, const char *topic, uint32_t kind)
       return port;
     number += found != SERVER;
   }
-  bool wanted = kind == SERVER ? strlen(topic) < NAME : listed(me, topic);
-  struct port *port = wanted ? claim(page, descriptor, me) : NULL;
+  bool shared = kind == OUTPUT && handed_over(me, topic);
+  bool wanted = kind == SERVER ? strlen(topic) < NAME : listed(me, topic) || shared;
+  struct port *port = wanted && strlen(topic) < NAME ? claim(page, descriptor, me) : NULL;
+  if (!port && shared)
+    dprintf(STDERR_FILENO, "midstride: %s has no gate, since the page of the gates has no room for it: while this node is "
+            "replaced, both instances write there\n", topic);
   if (port) {
     strcpy(port->topic, topic);
     port->number = number;
     port->gate = OPEN;
+    if (shared) {
+      port->flags = KEEPS | TIMED | OFFERS;
+      port->baton = atomic_load(&page->nodes[me - 1].unstated);
+    }
     port->kind = kind; /* last: the manager reads the rest where it is not UNUSED */
   }
   return port;

@@ -296,10 +296,16 @@ class ForeignAgent:
         names = [*served.names]
         if served.managers:
             names.append(f"its lifecycle services, which {' and '.join(each.name for each in served.managers)} calls")
+        handed_over = () if self.node.gates is None else self.node.gates.unstated_topics()
         seen = (
             [*self._declared.differences(found), *left, *self._managed_twice(served)],
             [
-                UndeclaredTopic(output=each.output, topic=each.topic, type=each.type)
+                UndeclaredTopic(
+                    output=each.output,
+                    topic=each.topic,
+                    type=each.type,
+                    handed_over=each.output and each.topic in handed_over,
+                )
                 for each in self._declared.undeclared(found)
             ],
             names,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -29,8 +30,8 @@ PUBLISHING: Final = 0.3
 # An output with a rate hangs if it has been silent for so many periods, and at least so long (s).
 HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
-# How long a node may take until it shows the clients of the one that answers (s).
-CLIENTS_KNOWN: Final = 2.0
+# How long a node may take until it shows the clients of the one that answers, or its readers (s).
+PEERS_KNOWN: Final = 2.0
 # How long a node has to answer the requests that it has taken, once its successor is to answer (s).
 DRAIN: Final = 2.0
 # How long a node that has answered stays: a client that is held up learns that it has left before it reads (s).
@@ -172,24 +173,38 @@ class GatedOutputs(UngatedOutputs):
                 return replies.Idle(busy=f"it has written nothing on {self._node.record.topics[port]} for {age:.1f} s")
         return replies.Idle(busy=None)
 
-    # -- requests to its services ----------------------------------------------------------------------
+    # -- requests to its services, and topics that are no ports -----------------------------------------
 
     async def answer(self, command: commands.AnswerCommand) -> replies.Done:
-        """Answer from now on what arrives, and what has been held that the old one has not taken."""
-        page, index = self._gates.page, self._gates.index
+        """Write from now on also on topics that are no ports, and answer requests.
+
+        Requests are what arrives, and what has been held that the old one has not taken.
+        """
+        page, index, gates = self._gates.page, self._gates.index, self._gates
+        if not gates.writes_unstated:
+            writer = page.word(gates.unstated).holder - 1
+            await self._peers_known(writer, command, lambda: gates.has_readers_of(writer))
+            # A call that is publishing, and does not end, is of a stopped process: this one takes over after it.
+            await self._node.comes_true(gates.take_unstated, PUBLISHING)
         if (other := page.answering(index)) is None:
             return replies.Done()
-        if command.address is not None and not page.is_dead(other):
-            looked = page.beat(index), page.beat(other)
-            page.ring(index)
-            page.ring(other)
-            await self._node.comes_true(lambda: page.beat(index) != looked[0] and page.beat(other) != looked[1], LOOK)
-            if not self._gates.has_clients_of(other):
-                await self._node.comes_true(lambda: self._gates.has_clients_of(other), CLIENTS_KNOWN)
-                await asyncio.sleep(READY_AFTER)
+        await self._peers_known(other, command, lambda: gates.has_clients_of(other))
         self._gates.answer(DRAIN)
         await self._node.comes_true(lambda: self._gates.begun, DRAIN)
         return replies.Done()
+
+    async def _peers_known(self, other: int, command: commands.AnswerCommand, known: Callable[[], bool]) -> None:
+        """Wait until this node is matched with the peers of the node ``other``, where that lives."""
+        page, index = self._gates.page, self._gates.index
+        if command.address is None or page.is_dead(other):
+            return
+        looked = page.beat(index), page.beat(other)
+        page.ring(index)
+        page.ring(other)
+        await self._node.comes_true(lambda: page.beat(index) != looked[0] and page.beat(other) != looked[1], LOOK)
+        if not known():
+            await self._node.comes_true(known, PEERS_KNOWN)
+            await asyncio.sleep(READY_AFTER)
 
     async def finish(self) -> None:
         """Before the process is ended of a node whose successor answers: what it has taken is answered first."""

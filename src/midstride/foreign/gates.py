@@ -48,7 +48,7 @@ class Gates:
         """Before the process starts: outputs are closed, inputs open (what is latched arrives when it subscribes).
 
         Requests to its services are answered by the node ``predecessor`` (index), where there is one, until this one
-        is to answer them.
+        is to answer them. The same holds for what it writes on topics that are no ports.
 
         Where the component states no ports yet, the library adds one for each topic, for `midstride capture --probe`.
         """
@@ -61,6 +61,7 @@ class Gates:
         if not self.component.unnamed and self.component.renames is None:
             self.page.layout.nodes[self.index].used |= NAMES_ONE
         self.page.have_requests(self.index, predecessor)
+        self.page.have_unstated(self.index, PATIENCE, predecessor)
         baton = self.page.new_baton(self.index)
         for port in self._names:
             entry = self.entry(port)
@@ -115,6 +116,40 @@ class Gates:
         self.page.step(baton, step, self.index, successor, at_once)
         self.page.ring(self.index)
         return self.page.word(baton)
+
+    # -- topics that are no ports ----------------------------------------------------------------------
+
+    @property
+    def unstated(self) -> int:
+        """The baton of the topics that are no ports, which the instances of its role share."""
+        return int(self.page.layout.nodes[self.index].unstated)
+
+    @property
+    def writes_unstated(self) -> bool:
+        """Return whether it is this node that may write on topics that are no ports."""
+        return not self.unstated or self.page.word(self.unstated).holder == self.index + 1
+
+    def unstated_topics(self) -> set[str]:
+        """The topics that are no ports, by full name, that are handed over to a replacement with this kind of gate."""
+        return set(self.page.unstated(self.index))
+
+    def has_readers_of(self, other: int) -> bool:
+        """Return whether it has as many readers as the node ``other`` on each topic that is no port of either."""
+        theirs = self.page.unstated(other)
+        return all(
+            port.matched >= theirs[topic].matched
+            for topic, port in self.page.unstated(self.index).items()
+            if topic in theirs
+        )
+
+    def take_unstated(self) -> bool:
+        """Take a step towards writing on topics that are no ports; whether this node may."""
+        baton, word = self.unstated, self.page.word(self.unstated)
+        if word.holder == self.index + 1:
+            self.step(baton, BatonStep.WITHDRAW)
+            return True
+        self.page.step(baton, BatonStep.NAME_SUCCESSOR, word.holder - 1, self.index, at_once=True)
+        return self.step(baton, BatonStep.TAKE).holder == self.index + 1
 
     # -- requests to its services ----------------------------------------------------------------------
 

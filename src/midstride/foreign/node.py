@@ -171,7 +171,7 @@ class ForeignNode:
             looked=self.looked,
             unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,
             node=record.node,
-            answers=self.gates is None or self.gates.answers,
+            answers=self.gates is None or (self.gates.answers and self.gates.writes_unstated),
             imported=1,
             host=THIS_HOST,
             unread_parameters=self.unread_parameters,

@@ -17,7 +17,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 4 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 5 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -65,7 +65,8 @@ struct node {
   _Atomic uint32_t requests; /* index + 1 of the part that has the requests to its role; 0: it answers each */
   _Atomic uint32_t unanswered; /* how many requests it has claimed, and not answered yet */
   _Atomic int64_t answered; /* when it answered last: CLOCK_MONOTONIC, ns; 0: never */
-  uint32_t spare[6];
+  _Atomic uint32_t unstated; /* index + 1 in `batons`: which node of the role may write on topics that are no ports; 0: each */
+  uint32_t spare[5];
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */
 };

@@ -18,7 +18,7 @@ from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 4
+VERSION: Final = 5
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -91,7 +91,8 @@ class PageNode(ctypes.Structure):
         ("requests", c_uint32),
         ("unanswered", c_uint32),
         ("answered", c_int64),
-        ("spare", c_uint32 * 6),
+        ("unstated", c_uint32),
+        ("spare", c_uint32 * 5),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
     ]
@@ -266,11 +267,44 @@ class Page:
         return min(found, key=lambda index: not self._lives(index), default=None)
 
     def free(self, index: int) -> None:
-        number = self.layout.nodes[index].requests
+        number, baton = self.layout.nodes[index].requests, self.layout.nodes[index].unstated
         self._library.midstride_free(self._address, index)
+        if baton:
+            self._leave_unstated(index, baton)
         if number and any(node.used and node.requests == number for node in self.layout.nodes):
             self._step_requests(number, RequestsStep.FORGET, index)
             self._requests[number - 1].shared = False
+
+    # -- topics that are no ports ----------------------------------------------------------------------
+
+    def have_unstated(self, index: int, patience: float, of: int | None = None) -> None:
+        """One baton decides for the topics of the node ``index`` that are no ports: its own, or the node ``of``'s.
+
+        Before its process starts. ``patience`` (s): as in `baton.h`. Raises BackendError.
+        """
+        nodes = self.layout.nodes
+        baton = (0 if of is None else nodes[of].unstated) or self.new_baton(index)
+        self.layout.batons[baton - 1].patience = int(patience * 1e9)
+        nodes[index].unstated = baton
+
+    def unstated(self, index: int) -> dict[str, PagePort]:
+        """By full name, the topics, no ports, on which the node ``index`` writes only with the baton for them."""
+        baton = self.layout.nodes[index].unstated
+        found = (port for port in self.every_port() if port.node == index + 1 and port.kind == OUTPUT)
+        return {port.topic.decode(): port for port in found if baton and port.baton == baton and port.endpoints}
+
+    def _leave_unstated(self, index: int, baton: int) -> None:
+        """A node has ended that shared ``baton`` with others of its role."""
+        word = self.word(baton)
+        if word.predecessor == index + 1:
+            self.step(baton, BatonStep.SETTLE, word.holder - 1)
+        if word.successor == index + 1:
+            self.step(baton, BatonStep.WITHDRAW, word.holder - 1)
+        others = [other for other, node in enumerate(self.layout.nodes) if node.used and node.unstated == baton]
+        if word.holder == index + 1 and others:
+            other = min(others, key=lambda other: not self._lives(other))
+            self.step(baton, BatonStep.GIVE, other)
+            self.ring(other)
 
     # -- requests to services --------------------------------------------------------------------------
 
@@ -337,6 +371,7 @@ class Page:
     def new_baton(self, holder: int) -> int:
         """The index + 1 of a baton that no port has; the node ``holder`` (index) holds it. Raises BackendError."""
         used = {port.baton for port in self.every_port() if port.node}
+        used |= {node.unstated for node in self.layout.nodes if node.used}
         number = next((number for number in range(1, BATONS + 1) if number not in used), None)
         if number is None:
             raise BackendError(f"more than {BATONS} batons are in use")

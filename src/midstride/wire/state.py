@@ -34,11 +34,15 @@ class Endpoint(WireValue, frozen=True, kw_only=True):
 
 
 class UndeclaredTopic(WireValue, frozen=True, kw_only=True):
-    """A topic, by its full name, that a node without Midstride's API publishes on or subscribes to beside its ports."""
+    """A topic, by its full name, that a node without Midstride's API publishes on or subscribes to beside its ports.
+
+    ``handed_over``: of two instances of its role, at most one publishes there at any moment.
+    """
 
     output: bool
     topic: str
     type: str
+    handed_over: bool = False
 
     @property
     def words(self) -> str:

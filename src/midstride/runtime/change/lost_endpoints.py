@@ -36,7 +36,7 @@ def lost_endpoints(
                 known = LastKnown(states.get(name), endpoints.get(name, ()))
                 yield from what_ended(name, found.component, known, planned=True, beside=created.get(role))
                 if known.latest is not None and role in created:
-                    yield from two_writers(role, known.latest)
+                    yield from two_writers(role, known.latest, found.component, created[role])
 
 
 def endpoints_that_ended(
@@ -58,7 +58,8 @@ def endpoints_that_ended(
         known_now = _as_planned(known, states.get(name))
         yield from what_ended(name, instance.component, known_now, planned=False, beside=beside)
         if known.latest is not None and instance.role in created and instance.role in together:
-            yield from two_writers(instance.role, known.latest, together[instance.role])
+            old, new = instance.component, created[instance.role]
+            yield from two_writers(instance.role, known.latest, old, new, together[instance.role])
 
 
 def _as_planned(known: LastKnown, before: LatestState | None) -> LastKnown:
@@ -108,9 +109,14 @@ def what_ended(
         yield verdicts.calls_end_with(name, called, planned=planned)
 
 
-def two_writers(role: str, latest: LatestState, together: float | None = None) -> Iterator[verdicts.Assessment]:
-    """The topics without a port on which two instances of ``role`` write, or could, while both run."""
-    state = latest.state
-    written = [each.topic for each in state.undeclared if each.output]
+def two_writers(
+    role: str, latest: LatestState, old: ComponentSpec, new: ComponentSpec, together: float | None = None
+) -> Iterator[verdicts.Assessment]:
+    """The topics without a port on which two instances of ``role`` write, or could, while both run.
+
+    Where both have the preloaded library, these are what it does not hand over.
+    """
+    state, handed_over = latest.state, old.preloads and new.preloads
+    written = [each.topic for each in state.undeclared if each.output and not (each.handed_over and handed_over)]
     if shared := [topic for topic in written if not topic.startswith(f"{state.node}/")]:
         yield verdicts.two_writers(role, shared, together)

@@ -172,7 +172,7 @@ class InstanceStatus(Report, frozen=True, kw_only=True):
     waiting: Annotated[str | None, Meta(description="what it is waiting for")]
     as_modelled: Annotated[bool, Meta(description="its modes are those of the manager's model")]
     differences: Annotated[list[str], Meta(description="in which way its node is not what is declared")]
-    undeclared: Annotated[list[str], Meta(description="the topics of its node that are no ports: they have no gate")]
+    undeclared: Annotated[list[str], Meta(description="the topics of its node that are no ports")]
     other_nodes: Annotated[list[OtherNodeStatus], Meta(description="that end with it, besides its own")] = []
     other_nodes_unknown: Annotated[str | None, Meta(description="why some of them may not be known")] = None
     deviation: Annotated[str | None, Meta(description="in which way it is not as specified, in words; null: it is")]
