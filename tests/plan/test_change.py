@@ -128,6 +128,19 @@ def test_of_two_instances_the_one_that_has_the_topics_is_replaced(strategy: str)
         assert len(configuration.publishers_on("/chatter")) <= 1
 
 
+def test_one_that_has_no_topic_yet_beside_one_that_publishes_is_not_kept() -> None:
+    """As after a change that was left incomplete: what it has created has not taken over."""
+    start = talker()
+    target = start.with_replaced("talker", "NewTalker")
+    running = best(initial(start).with_instance(target.instance("talker", "talker_2")))
+    change = change_between(running, start, target)
+    assert dict(change.replaced) == {"talker": "talker_3"} and set(change.leaving) == {"talker", "talker_2"}
+    plan = STRATEGIES["minimal"](change)
+    assert any(isinstance(step.action, Handover) for step in plan.steps)
+    for configuration in plan.configurations():
+        assert len(configuration.publishers_on("/chatter")) == 1
+
+
 def test_durations_are_declared_else_measured_else_the_default() -> None:
     start = replace(talker(), timing=Map({"detach": 0.3}))
     slow = replace(start.components["NewTalker"], startup_seconds=4.0)

@@ -131,6 +131,7 @@ class ChangeBuilder:
             raise PlanRefused("; ".join(str(problem) for problem in found))
         wanted = self.target.instance(role)
         candidates = [] if role in self.renewed else [each for each in running if not self._renamed_topics(each)]
+        candidates = [each for each in candidates if not self._waits_behind_another(each, running)]
         kept = next((instance for instance in candidates if not _differs(instance, wanted)), None)
         if kept is not None:
             self._keep(kept, wanted)
@@ -146,6 +147,19 @@ class ChangeBuilder:
         for instance in running:
             if instance is not kept:
                 self._leave(instance)
+
+    def _waits_behind_another(self, instance: Instance, running: Iterable[Instance]) -> bool:
+        """Whether another instance of the role publishes what this one is to publish, and it has none of its outputs.
+
+        So it is of one that a change has created which was left incomplete. It is not kept: a new one takes over from
+        the other, in a hand-over.
+        """
+        wanted = self._publishes(self._wanted(instance.role, instance.name))
+        published = {each.name: self._publishes(self.start.attached_ports(each.name)) for each in running}
+        return not published[instance.name] and any(wanted & found for found in published.values())
+
+    def _publishes(self, attachments: Iterable[PortAttachment]) -> set[str]:
+        return {connector for port, connector in attachments if self.start.is_output(port)}
 
     def _renamed_topics(self, instance: Instance) -> bool:
         """Whether it would get other topics, and has those that it was started with for good."""
