@@ -410,7 +410,7 @@ class Fork:
 
     def _waits(self) -> bool:
         """Whether it does nothing any more. How much time passes says nothing on a busy machine."""
-        fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+        fields = Path(f"/proc/{self.pid}/stat").read_bytes().rpartition(b")")[2].split()  # its name may be no UTF-8
         used, now = sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK"), time.monotonic()
         if used > self.used:
             self.used, self.since = used, now
