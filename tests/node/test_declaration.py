@@ -172,6 +172,16 @@ def better_guarantees_less(p: Parts) -> None:
     p.declared()
 
 
+def better_guarantees_less_on_the_second(p: Parts) -> None:
+    p.normal(rate=10)
+    p.work.set_degraded_mode(nothing)
+    outputs = [p.comp.create_output(name, String) for name in ("first", "second")]
+    more = p.comp.create_functionality("more", outputs=outputs)
+    more.set_normal_mode(nothing, rate=10, outputs=outputs, guarantees={outputs[1]: 5})
+    more.set_degraded_mode(nothing, rate=10, outputs=outputs)
+    p.declared()
+
+
 def better_guarantees_nothing(p: Parts) -> None:
     p.normal(rate=5)
     p.work.set_degraded_mode(nothing, rate=1, outputs=[p.out])
@@ -274,6 +284,7 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
     (not_normal, "write work.set_normal_mode(fn, …)"),
     (not_owned, "output spare belongs to no functionality"),
     (better_guarantees_less, "at least 10 Hz is needed"),
+    (better_guarantees_less_on_the_second, "on output second"),
     (better_guarantees_nothing, "the better mode normal does not"),
     (lambda p: Component("empty").declaration(), "has no functionality"),
     (lambda p: any_of(p.scan), "at least two inputs"),

@@ -91,6 +91,8 @@ def test_as_many_readers_as_before_are_not_the_same_readers(tmp_path: Path, monk
         await lab.change("node", "attach", **attach)
         attached = await lab.read("node", "await_readers", **request, reader_ids=["sink", "dead"], patience=0.5)
         assert attached["matched"] == 0  # one of the two is missing
+        with pytest.raises(CommandRefused, match="only 1 of 2 endpoints"):
+            await lab.read("node", "await_readers", **{**request, "peers": 2, "timeout": 0.5}, patience=0.5)
 
     in_lab(tmp_path, main)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Node, Specification
 from midstride.runtime.records.status_forms import FunctionalityStatus, PortStatus
+from midstride.runtime.view.condition import _faults
 from midstride.runtime.view.instance_status import _deviations
 from midstride.runtime.view.watched_system import Baseline
 from tests.model.build import work
@@ -88,3 +90,19 @@ def test_each_way_in_which_it_deviates_is_said(baseline: Baseline, changes: dict
 )
 def test_what_is_as_good_as_it_can_be_is_no_deviation(level: int, changes: dict[str, Any]) -> None:
     assert deviations(specified(level=level), **changes) == []
+
+
+@pytest.mark.parametrize(("mode", "level", "said"), [("degraded", 0, True), ("degraded", 1, False), ("gone", 1, True)])
+def test_a_mode_below_the_baseline_or_unknown_is_a_fault(mode: str, level: int, said: bool) -> None:
+    watched: Any = SimpleNamespace(baseline=lambda: specified(level=level))
+    functionality = structs.replace(WORK, mode=mode)
+    status: Any = SimpleNamespace(
+        name="talker_2",
+        role="talker",
+        reachable=True,
+        waiting=None,
+        differences=[],
+        functionalities=[functionality],
+        ports=[],
+    )
+    assert bool(list(_faults(watched, status))) is said

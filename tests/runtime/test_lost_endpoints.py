@@ -10,7 +10,7 @@ import pytest
 from midstride.backends.simulator import Simulator
 from midstride.model.component import ComponentSpec, Gate
 from midstride.plan.request import PlanRequest
-from midstride.runtime.change.lost_endpoints import two_writers, what_ended
+from midstride.runtime.change.lost_endpoints import _as_planned, two_writers, what_ended
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.manager import Manager
 from midstride.runtime.process.launcher import LastKnown
@@ -128,3 +128,13 @@ def test_a_service_that_the_successor_answers_does_not_end(gate: Gate, component
     assert all(part in words for part, words in zip(found, said, strict=True)), said
     (words,) = (each.words for each in what_ended("mapper", old, known, planned=False))
     assert "service /mapper/save, service /reset and ROS action /dock ended with mapper" in words
+
+
+def test_what_the_plan_has_started_itself_was_not_managed_by_another_one() -> None:
+    before, now = (
+        LatestState(bare_state("mapper", node="/mapper", starting=starting), at)
+        for starting, at in ((["/mapper"], 0.0), (["/mapper", "/mapper_2"], 1.0))
+    )
+    known = _as_planned(LastKnown(now, ()), before)
+    assert known.latest is not None and (known.latest.state.starting, known.latest.at) == (["/mapper"], 1.0)
+    assert _as_planned(LastKnown(now, ()), None) == LastKnown(now, ()), "nothing was known before"

@@ -227,6 +227,16 @@ def test_the_window_of_a_slow_output_is_some_of_its_periods_long(tmp_path: Path)
     bench(talking(), tmp_path, body)
 
 
+def test_a_slow_output_is_watched_over_some_of_its_periods(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", AwaitRateCommand, RateVerdict(reached=False, rate=0.5, pause=2.0, failed=False))
+        watched = WatchedOutput(build.port("talker.out"), build.port("talker_2.out"), "/chatter", 0.5)
+        await watch_after(b.client, [watched], 30.0, stretch=1.0, shortest=1.0)
+        assert [asked.window for asked in b.client.of(AwaitRateCommand)] == [FEWEST_PERIODS / 0.5]
+
+    bench(talking(), tmp_path, body)
+
+
 def test_what_is_watched_on_a_slow_clock_is_watched_for_longer(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker", AwaitRateCommand, RateVerdict(reached=False, rate=5.0, pause=0.2, failed=False))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -120,6 +121,30 @@ def test_the_end_of_the_connection_fails_all_requests_under_way_at_once() -> Non
         with pytest.raises(Unreachable, match="talker has closed"):
             await channel.request(PingCommand(), timeout=60.0)
         assert now() == begun + 0.25
+
+    talk(component, client)
+
+
+def test_an_end_while_a_request_is_being_sent_is_no_error_that_nothing_retrieves() -> None:
+    async def component(connection: Connection) -> None:
+        await greet(connection)
+        await asyncio.sleep(0.25)
+        connection.close()
+
+    async def client(network: PipeNetwork) -> None:
+        unretrieved: list[str] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: unretrieved.append(context["message"]))
+        channel = await opened(network)
+
+        async def send(frame: bytes) -> None:
+            await asyncio.sleep(0.5)
+            raise Unreachable("it is gone")
+
+        channel.connection.send = send  # type: ignore[method-assign]
+        with pytest.raises(Unreachable, match="it is gone"):
+            await channel.request(PingCommand(), timeout=60.0)
+        gc.collect()
+        assert unretrieved == []
 
     talk(component, client)
 

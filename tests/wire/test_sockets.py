@@ -166,6 +166,11 @@ def test_a_second_listener_of_a_name_is_refused_and_the_first_goes_on(tmp_path: 
     in_folder(tmp_path / "demo" / COMPONENTS, main)
 
 
+def test_what_is_found_under_a_name_listens_already(tmp_path: Path) -> None:
+    with SocketFolder(tmp_path)._bind(tmp_path / "talker.sock"), raw(tmp_path / "talker.sock"):
+        pass
+
+
 def test_of_many_that_start_at_once_one_gets_the_name(tmp_path: Path) -> None:
     async def main(folder: SocketFolder) -> None:
         results = await asyncio.gather(*(folder.listen("talker", echo) for _ in range(20)), return_exceptions=True)
