@@ -296,18 +296,9 @@ class ForeignAgent:
         names = [*served.names]
         if served.managers:
             names.append(f"its lifecycle services, which {' and '.join(each.name for each in served.managers)} calls")
-        handed_over = () if self.node.gates is None else self.node.gates.unstated_topics()
         seen = (
             [*self._declared.differences(found), *left, *self._managed_twice(served)],
-            [
-                UndeclaredTopic(
-                    output=each.output,
-                    topic=each.topic,
-                    type=each.type,
-                    handed_over=each.output and each.topic in handed_over,
-                )
-                for each in self._declared.undeclared(found)
-            ],
+            self._undeclared(found),
             names,
             [*served.calls],
             self.node.looked or bool(found) or never,
@@ -316,6 +307,22 @@ class ForeignAgent:
         if seen != (node.differences, node.undeclared, node.serves, node.calls, node.looked):
             node.differences, node.undeclared, node.serves, node.calls, node.looked = seen
             self._report()
+
+    def _undeclared(self, found: Sequence[GraphEndpoint]) -> list[UndeclaredTopic]:
+        """The topics of the node that are no ports, of what the graph shows of it."""
+        shown, gates = self._declared.undeclared(found), self.node.gates
+        handed_over: set[str] = set()
+        if gates is not None and any(each.output for each in shown):
+            handed_over = gates.unstated_topics()
+        return [
+            UndeclaredTopic(
+                output=each.output,
+                topic=each.topic,
+                type=each.type,
+                handed_over=each.output and each.topic in handed_over,
+            )
+            for each in shown
+        ]
 
     def _note_news(self, shown: object, *, nothing: bool, never: bool) -> None:
         """Note whether the node may still create anything, by what the graph has ``shown`` of it now."""
