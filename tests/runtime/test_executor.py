@@ -17,6 +17,7 @@ from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetP
 from midstride.model.component import KILL_AT_ONCE, ParameterSpec
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.change.executor import _estimates
 from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.process import launcher, pacing
@@ -155,6 +156,23 @@ def test_what_the_change_created_is_killed_where_it_does_not_answer(tmp_path: Pa
         assert "second was created by this change and does not answer: it was killed" in b.words()
 
     bench(talking(), tmp_path, body)
+
+
+def test_beside_one_that_has_exited_the_other_one_is_killed(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.crash("talker")
+        assert await b.executor._kill(["talker", "listener"])
+        assert b.backend.ended == [("listener", KILL_AT_ONCE)]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_what_is_measured_is_named_by_its_kind_and_a_start_beside_another_is_not_measured() -> None:
+    create, third = Create(SECOND), Create(instance("third", TALKER))
+    assert _estimates(create, talking(), [create, DETACH]) == "create Talker"
+    assert _estimates(create, talking(), [create, third]) is None
+    assert _estimates(Remove("listener"), talking(), []) == "remove Listener"
+    assert _estimates(DETACH, talking(), []) == "detach"
 
 
 def test_a_created_component_that_is_silent_is_not_asked_before_it_is_killed(tmp_path: Path) -> None:
