@@ -53,9 +53,10 @@ comp.start()
 
 
 def programs_of_the_page(folder: Path) -> None:
-    """The files that the how-to shows, in ``folder``."""
+    """The files that the how-to shows, in ``folder``; a node says its instance instead of its name, which stays."""
     for name, text in re.findall(r"```\w+ file=(\S+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
-        (folder / name).write_text(text, encoding="utf-8")
+        said = text.replace("self.get_name()", '__import__("os").environ["MIDSTRIDE_INSTANCE"]')
+        (folder / name).write_text(said, encoding="utf-8")
 
 
 def declared_talker(name: str, command: str, gate: str | None = None, rate: float = 50) -> str:
@@ -153,17 +154,17 @@ class Robot:
         await self.until(task.done, 120)
         return task.result()
 
-    async def change(self, component: str) -> Outcome:
-        """Replace the talker by a ``component``; it may be refused."""
-        report: Outcome = await self.meanwhile(self.manager.change(PlanRequest(replace=(("talker", component),))))
+    async def change(self, component: str, role: str = "talker") -> Outcome:
+        """Replace the node ``role`` by a ``component``; it may be refused."""
+        report: Outcome = await self.meanwhile(self.manager.change(PlanRequest(replace=((role, component),))))
         return report
 
-    async def replaced(self, component: str, messages: int = 20) -> dict[str, float]:
-        """Replace the talker, and hear so many messages of the new one; how long each kind of step took (s)."""
-        report = await self.change(component)
+    async def replaced(self, component: str, messages: int = 20, role: str = "talker") -> dict[str, float]:
+        """Replace the node ``role``, and hear so many messages of the new one; how long each step took, by kind (s)."""
+        report = await self.change(component, role)
         assert (report.outcome, report.because) == ("done", None), report.because
         instances = self.manager.configuration.instances.values()
-        (writer,) = (each.name for each in instances if each.role == "talker")
+        (writer,) = (each.name for each in instances if each.role == role)
         await self.until(lambda: self.heard[-1][1] == writer)
         await self.hears(messages)
         assert report.plan is not None

@@ -18,6 +18,7 @@ from tests.native import compiled
 
 # Plain rclpy: it talks, and notes each request that it handles.
 SERVER = """
+import os
 import time
 import rclpy
 from pathlib import Path
@@ -28,7 +29,7 @@ from std_msgs.msg import String
 
 rclpy.init()
 node = Node("talker")
-name, number = node.get_name(), 0
+name, number = os.environ["MIDSTRIDE_INSTANCE"], 0
 publisher = node.create_publisher(String, "chatter", 10)
 calls = (Path(__file__).parent / "calls").open("a", buffering=1)
 

@@ -15,14 +15,14 @@ from tests.backends.ros2_support import run
 
 # What is not let in: a program, in plain rclpy, that differs from the talker in one way.
 FAULTY = """
-import sys, time
+import os, sys, time
 import rclpy
 from rclpy.node import Node
 from std_msgs.msg import Int32, String
 
 kind = sys.argv[1]
 rclpy.init()
-node = Node("talker")
+node, instance = Node("talker"), os.environ["MIDSTRIDE_INSTANCE"]
 publisher = node.create_publisher(Int32 if kind == "type" else String, "chatter", 10)
 count = 0
 
@@ -33,7 +33,7 @@ def talk():
         sys.exit(7)
     if kind == "hangs" and count > 10:
         time.sleep(1000)
-    publisher.publish(Int32(data=count) if kind == "type" else String(data=f"{node.get_name()} {count}"))
+    publisher.publish(Int32(data=count) if kind == "type" else String(data=f"{instance} {count}"))
 
 node.create_timer(0.04 if kind == "half" else 0.02, talk)
 rclpy.spin(node)
@@ -42,19 +42,20 @@ REASONS = {
     "dies": "talker_2 ",
     "hangs": "has written nothing|wrote at 0 Hz",  # whether its first messages were counted is chance
     "half": "does not keep the 50 Hz",
-    "type": "node /talker_2 publishes std_msgs/msg/Int32 on /chat, and output out of Type is declared as std_msgs",
-    "qos": "node /talker_2 publishes on /chat with reliable, volatile, and output out of Qos is declared with",
+    "type": "node /talker publishes std_msgs/msg/Int32 on /chat, and output out of Type is declared as std_msgs",
+    "qos": "node /talker publishes on /chat with reliable, volatile, and output out of Qos is declared with",
 }
 
 # Two outputs with a rate, and one that is written at the start only; with the API, and without.
 SEVERAL_PLAIN = """
+import os
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 rclpy.init()
-node = Node("several")
+node, instance = Node("several"), os.environ["MIDSTRIDE_INSTANCE"]
 latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 counts = {"fast": 0, "slow": 0}
 publishers = {name: node.create_publisher(String, name, 10) for name in counts}
@@ -62,10 +63,10 @@ once = node.create_publisher(String, "once", latched)
 
 def talk(name):
     counts[name] += 1
-    publishers[name].publish(String(data=f"{node.get_name()} {counts[name]}"))
+    publishers[name].publish(String(data=f"{instance} {counts[name]}"))
 
 for number in (1, 2, 3):  # as what broadcasts static transforms
-    once.publish(String(data=f"{node.get_name()} {number}"))
+    once.publish(String(data=f"{instance} {number}"))
 node.create_timer(0.02, lambda: talk("fast"))
 node.create_timer(0.05, lambda: talk("slow"))
 rclpy.spin(node)

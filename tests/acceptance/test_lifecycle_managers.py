@@ -103,7 +103,7 @@ def test_what_would_break_a_bond_is_refused_and_without_the_manager_the_nodes_ar
             assert removed.outcome == "done"
             outcome = await manager.change(RESTART)
             assert (outcome.outcome, outcome.because) == ("done", None)
-            await active(bare, "controller_server", "planner_server_2")
+            await active(bare, "controller_server", "planner_server")
 
     with ended():
         run(scenario())
@@ -117,7 +117,7 @@ def test_a_manager_without_bonds_does_not_notice_and_a_broken_bond_would_have_ta
             assert plan and "which /lifecycle_manager_navigation calls" in plan.headline
             outcome = await manager.change(RESTART)
             assert (outcome.outcome, outcome.because) == ("done", None)
-            await active(bare, "controller_server", "planner_server_2")
+            await active(bare, "controller_server", "planner_server")
             assert "Failed to change state" not in log_of(tmp_path)
 
     with ended():

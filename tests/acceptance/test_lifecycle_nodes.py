@@ -20,7 +20,7 @@ from tests.backends.ros2_support import Bare, run
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 PROGRAM = """
-import sys, time
+import os, sys, time
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -32,13 +32,14 @@ FAULT = sys.argv[1]
 class Node(LifecycleNode):
     def __init__(self):
         super().__init__("node")
+        self.instance = os.environ["MIDSTRIDE_INSTANCE"]  # the name stays
         self.declare_parameter("word", "hello")
         self.declare_parameter("volume", 1.5)
 
     def note(self, what, result=TransitionCallbackReturn.SUCCESS):
         word, volume = (self.get_parameter(name).value for name in ("word", "volume"))
         with open("events", "a") as file:
-            file.write(f"{self.get_name()} {what} {word} {volume}\\n")
+            file.write(f"{self.instance} {what} {word} {volume}\\n")
         if FAULT == f"hang:{what}":
             time.sleep(600)
         return TransitionCallbackReturn.FAILURE if what == FAULT else result
@@ -55,7 +56,7 @@ class Node(LifecycleNode):
     def talk(self):
         if self.out.is_activated:
             self.count += 1
-            self.out.publish(String(data=f"{self.get_name()} {self.count}"))
+            self.out.publish(String(data=f"{self.instance} {self.count}"))
 
     def on_activate(self, state):
         super().on_activate(state)

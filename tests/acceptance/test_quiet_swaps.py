@@ -13,6 +13,7 @@ from tests.acceptance.support import ended
 from tests.backends.ros2_support import Bare, run
 
 PLAIN = """
+import os
 import rclpy
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -20,7 +21,7 @@ from std_msgs.msg import String
 rclpy.init()
 node = Node("filter")
 publisher = node.create_publisher(String, "out", 100)
-answer = lambda said: publisher.publish(String(data=f"{node.get_name()} {said.data}"))
+answer = lambda said: publisher.publish(String(data=f"{os.environ['MIDSTRIDE_INSTANCE']} {said.data}"))
 node.create_subscription(String, "in", answer, 100)
 rclpy.spin(node)
 """

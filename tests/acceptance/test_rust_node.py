@@ -41,7 +41,7 @@ def test_a_node_in_rust_is_replaced_by_one_in_rclpy_and_the_other_way_round(tmp_
             # It cannot be held back inside its process, nor if it takes no notice of its names: both are refused, and
             # the old one goes on. The first of them publishes beside it until then: nothing keeps it from doing so.
             for component, words in (
-                ("Seen", "node /talker_2 publishes on /chat, and the library of `gate preload` does not see it"),
+                ("Seen", "node /talker publishes on /chat, and the library of `gate preload` does not see it"),
                 ("Deaf", "node /talker_2 publishes on /chatter itself, for output out of Deaf; it takes no notice of"),
             ):
                 begun = time.monotonic()

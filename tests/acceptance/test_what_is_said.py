@@ -55,6 +55,8 @@ ANSWER = 3.0
 COMMON = """
 import os, signal, sys, time
 
+instance = os.environ["MIDSTRIDE_INSTANCE"]  # its name may stay
+
 def fault(role):
     with open(role) as file:
         return file.read()
@@ -84,7 +86,7 @@ node.create_service(Trigger, f"/save/{role}", lambda request, response: response
 node.create_client(Trigger, f"/ask/{role}")
 publisher = node.create_publisher(String, f"/said/{role}", 10)
 mute = fault(role) == "mute"
-node.create_timer(0.05, lambda: mute or publisher.publish(String(data=f"{node.get_name()} {time.monotonic()}")))
+node.create_timer(0.05, lambda: mute or publisher.publish(String(data=f"{instance} {time.monotonic()}")))
 rclpy.spin(node)
 """
 
@@ -109,7 +111,7 @@ class Life(LifecycleNode):
 
     def say(self):
         if self.out.is_activated:
-            self.out.publish(String(data=f"{self.get_name()} {time.monotonic()}"))
+            self.out.publish(String(data=f"{instance} {time.monotonic()}"))
 
     def on_activate(self, state):
         if fault(role) == "slow":
@@ -289,6 +291,12 @@ class Robot:
         """The instances that run now, by role."""
         return {role: (await self.running(role)).name for role in roles}
 
+    async def nodes(self, *roles: str) -> dict[str, str]:
+        """The names of the nodes that run now, by role: one with a gate inside keeps that of its role."""
+        gates = {role: gate for role, (_, gate) in (GATES | BARE | OTHERS).items()}
+        names = await self.names(*roles)
+        return {role: role if "preload" in (gates[role] or "") else name for role, name in names.items()}
+
     async def condition_names(self, words: Mapping[str, str]) -> None:
         """Wait until the status is degraded, or down, and says of each role its ``words``."""
         deadline = time.monotonic() + 30
@@ -342,8 +350,7 @@ async def transition(robot: Robot, number: int, *roles: str) -> None:
     request = ChangeState.Request()
     request.transition.id = number
     asked = []
-    for role in roles:
-        name = (await robot.running(role)).name
+    for name in (await robot.nodes(*roles)).values():
         client = robot.bare.node.create_client(ChangeState, f"/{name}/change_state")
         await robot.bare.until(client.service_is_ready, 30)
         asked.append(client.call_async(request))
@@ -389,7 +396,7 @@ async def taken_down_by_another_program(robot: Robot) -> None:
     services = (ChangeState, "change_state"), (GetState, "get_state")
     asking = [
         robot.bare.node.create_client(kind, f"/{name}/{service}")
-        for name in (await robot.names(*OTHERS)).values()
+        for name in (await robot.nodes(*OTHERS)).values()
         for kind, service in services
     ]
     for role in OTHERS:
@@ -401,7 +408,7 @@ async def taken_down_by_another_program(robot: Robot) -> None:
     for client in asking:
         robot.bare.node.destroy_client(client)
     await transition(robot, DEACTIVATE, *OTHERS)
-    names = (await robot.names(*OTHERS)).items()
+    names = (await robot.nodes(*OTHERS)).items()
     await robot.condition_names(
         {role: f"lifecycle node /{name} is inactive, and was active before" for role, name in names}
     )

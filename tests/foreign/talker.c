@@ -39,7 +39,8 @@ int main(int count, char **arguments)
   clock_gettime(CLOCK_MONOTONIC, &slot);
   for (long long number = 1;; number++) {
     char text[300];
-    snprintf(text, sizeof text, "%s %lld", rcl_node_get_name(&node), number);
+    const char *instance = getenv("MIDSTRIDE_INSTANCE"); /* of two in a hand-over, the name is one */
+    snprintf(text, sizeof text, "%s %lld", instance ? instance : rcl_node_get_name(&node), number);
     rosidl_runtime_c__String__assign(&message.data, text);
     for (int topic = 0; topic < topics; topic++)
       require(rcl_publish(&publishers[topic], &message, NULL), "publish");

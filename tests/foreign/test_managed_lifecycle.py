@@ -63,7 +63,7 @@ class ManagedRos(SimulatedRos):
     def _services_of(self, node: str) -> SimulatedNode | None:
         return self.nodes.get(node.strip("/"))
 
-    def _served(self, node: str) -> Served:
+    def _served(self, node: str, services: frozenset[str] | None) -> Served:
         """The manager knows the first node of its name."""
         known = node in ("/planner", "/talker")
         return Served((), has_lifecycle=True, managers=self.managers if known else ())
@@ -85,12 +85,12 @@ class StartingRos(ManagedRos):
             self._folder, _Transport(self.control), self._services_of, graph=self._graph, served=self._served
         )
 
-    def _graph(self, node: str) -> list[GraphEndpoint]:
+    def _graph(self, node: str, mark: bytes | None) -> list[GraphEndpoint]:
         topics = self.seen.get(node, self.seen["/planner"] if node.startswith("/planner") else [])
         return [GraphEndpoint(True, topic, "std_msgs/msg/String", QoS()) for topic in topics]
 
-    def _served(self, node: str) -> Served:
-        return super()._served(node) if node.startswith("/planner") else Served()
+    def _served(self, node: str, services: frozenset[str] | None) -> Served:
+        return super()._served(node, services) if node.startswith("/planner") else Served()
 
 
 STARTING = (

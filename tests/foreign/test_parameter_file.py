@@ -341,7 +341,7 @@ def test_one_node_of_several_is_named_where_it_is_stated_what_its_program_calls_
     nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path), lambda node: None)
     launch = Launch("a/n_2", "a", (), "t", tmp_path, role="a/n")
     component = made.components["C"]
-    name = nodes.start_name(launch, component, lambda _: False)
+    name = nodes.start_name(launch, component, lambda node: node == "/a/n")
     assert (name.full, name.passed) == ("/a/n_2", True)
     assert nodes.arguments(launch, component, name)[:5] == ["--ros-args", "-r", "cam:__node:=n_2", "-r", "__ns:=/a"]
 

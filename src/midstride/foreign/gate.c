@@ -49,6 +49,11 @@
 #define LEFT_OVER INT64_C(300000000)
 /* How long a wait without a guard condition, which cannot be ended, lasts while requests are held (ns). */
 #define SHORT_WAIT INT64_C(10000000)
+/* Whose requests those of the manager to this node alone seem to be. */
+#define MANAGER "midstride asks"
+/* How many bytes the name of a file of one of them has more than that of the page. */
+#define SUFFIX 64
+#define FILE_NAME (PATH_MAX + SUFFIX)
 /* How many requests a server's queue has room for at least. Of a shallower one, requests fall out while a busy executor
  * does not take them, as while a node starts. */
 #define QUEUE 200u
@@ -96,12 +101,19 @@ struct service_type {
   const void *data;
   const void *function;
   const void *request;
+  const void *response;
 };
 
 /* rmw_request_id_t */
 struct request_id {
   uint8_t client[16];
   int64_t number;
+};
+
+/* rmw_gid_t: up to Humble, the identity itself has 24 bytes. */
+struct identity {
+  const char *implementation;
+  uint8_t data[24];
 };
 
 /* rmw_service_info_t */
@@ -164,6 +176,8 @@ REAL(int, rcl_publisher_init, void *, const void *, const void *, const char *, 
 REAL(int, rcl_publisher_fini, void *, void *)
 REAL(const char *, rcl_publisher_get_topic_name, const void *)
 REAL(const struct qos *, rcl_publisher_get_actual_qos, const void *)
+REAL(const void *, rcl_publisher_get_rmw_handle, const void *)
+REAL(int, rmw_get_gid_for_publisher, const void *, struct identity *)
 REAL(int, rcl_publisher_get_subscription_count, const void *, size_t *)
 REAL(int, rcl_publish, const void *, const void *, void *)
 REAL(int, rcl_publish_serialized_message, const void *, const void *, void *)
@@ -228,6 +242,7 @@ struct entry {
   void (*callback)(const void *, size_t);
   const void *context;
   bool outlasts; /* its requests may take as long as a goal */
+  const void *response; /* the type of its responses */
 };
 
 #define ENTRIES 256u
@@ -241,6 +256,8 @@ static struct table first;
 
 static struct page *page;
 static struct node *node; /* as which the process was started */
+static char page_path[PATH_MAX];
+static uint32_t taken_asked; /* the number of the last request of the manager that was read. With `lock` */
 static int descriptor = -1;
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of the tables where they change, and of what is kept */
 static pthread_t helper;
@@ -296,7 +313,7 @@ __attribute__((constructor)) static void join(void)
     return;
   char *end;
   unsigned long number = strtoul(index, &end, 10);
-  if (end == index || *end || number >= NODES)
+  if (end == index || *end || number >= NODES || strlen(path) >= sizeof page_path)
     return;
   int file = open(path, O_RDWR | O_CLOEXEC);
   if (file < 0)
@@ -313,6 +330,7 @@ __attribute__((constructor)) static void join(void)
   }
   descriptor = file;
   node = &page->nodes[number];
+  strcpy(page_path, path);
 }
 
 /* The lock of a node is held by its process for as long as that lives, and released by the kernel. */
@@ -759,6 +777,12 @@ struct waiting {
 static struct waiting *waits;
 static pthread_mutex_t client_lock = PTHREAD_MUTEX_INITIALIZER;
 
+/* Whether a request is one of the manager to this node alone. */
+static bool is_asked(const struct request_id *id)
+{
+  return memcmp(id->client, MANAGER, sizeof MANAGER) == 0;
+}
+
 /* Those of the role of the node `me` (index + 1); NULL where it answers each that arrives. */
 static struct requests *requests_of(unsigned me)
 {
@@ -1003,7 +1027,8 @@ static bool take_held(struct entry *entry, struct requests *requests, struct req
     if (read)
       return true;
     real_rcutils_reset_error()();
-    answered(entry, requests);
+    if (!is_asked(&info->id))
+      answered(entry, requests);
   }
   return false;
 }
@@ -1088,6 +1113,108 @@ static void look_at_server(struct entry *entry, const void *server)
     announce(entry);
 }
 
+/* -- requests of the manager to this node alone -----------------------------------------------------------------------
+ *
+ * The two nodes of a hand-over have one name, so a request by ROS reaches both. The manager puts one that is for this node
+ * into a file instead, and counts it in the page; the executor of the node takes it like any other, and the response goes
+ * into another file.
+ */
+
+/* The name of the file of the request `number`, or, by its `suffix`, of another one of it. */
+static void asked_file(char *name, uint32_t number, const char *suffix)
+{
+  snprintf(name, FILE_NAME, "%s.%u.%u%s", page_path, (unsigned)(node - page->nodes), number, suffix);
+}
+
+/* The server of that name; NULL where there is none. With `lock`. */
+static struct entry *server_of(const char *name)
+{
+  unsigned own = (unsigned)(node - page->nodes) + 1;
+  for (struct table *table = &first; table; table = atomic_load(&table->next))
+    for (unsigned index = 0; index < ENTRIES; index++) {
+      struct entry *entry = &table->entries[index];
+      const void *endpoint = atomic_load(&entry->endpoint);
+      if (endpoint && endpoint != REMOVED && entry->me == own && entry->port->kind == SERVER &&
+          strncmp(entry->port->topic, name, NAME) == 0)
+        return entry;
+    }
+  return NULL;
+}
+
+/* The bytes of a file, with a 0 behind them; NULL where it cannot be read. */
+static uint8_t *read_file(const char *name, size_t *length)
+{
+  int file = open(name, O_RDONLY | O_CLOEXEC);
+  struct stat status;
+  uint8_t *bytes = file >= 0 && fstat(file, &status) == 0 ? malloc((size_t)status.st_size + 1) : NULL;
+  bool whole = bytes && read(file, bytes, (size_t)status.st_size) == status.st_size;
+  if (file >= 0)
+    close(file);
+  if (!whole) {
+    free(bytes);
+    return NULL;
+  }
+  *length = (size_t)status.st_size;
+  bytes[*length] = 0;
+  return bytes;
+}
+
+/* Hold a request of the manager for the executor. The file has the name of the service, a 0, and the request. With `lock`. */
+static void hold_asked(uint32_t number)
+{
+  char name[FILE_NAME];
+  size_t length;
+  asked_file(name, number, "");
+  uint8_t *bytes = read_file(name, &length);
+  if (!bytes)
+    return;
+  size_t begin = strlen((char *)bytes) + 1;
+  struct entry *entry = begin <= length ? server_of((char *)bytes) : NULL;
+  struct held *held = entry ? calloc(1, sizeof *held) : NULL;
+  if (!held) {
+    free(bytes);
+    return;
+  }
+  memmove(bytes, bytes + begin, length - begin);
+  held->bytes.buffer = bytes;
+  held->bytes.length = length - begin;
+  held->bytes.capacity = length + 1;
+  held->bytes.memory = (allocator){allocate, deallocate, reallocate, zero_allocate, NULL};
+  memcpy(held->info.id.client, MANAGER, sizeof MANAGER);
+  held->info.id.number = number;
+  held->at = now_ns();
+  held->claimed = true;
+  *entry->end = held;
+  entry->end = &held->next;
+  atomic_fetch_add(&entry->holding, 1);
+}
+
+/* With `lock`. */
+static void take_asked(void)
+{
+  for (uint32_t last = atomic_load(&node->asked); taken_asked != last;)
+    hold_asked(++taken_asked);
+}
+
+/* Write the response to a request of the manager into its file, which is there once it is whole. */
+static int respond(const struct entry *entry, const struct request_id *id, const void *response)
+{
+  char name[FILE_NAME], partial[FILE_NAME];
+  serialized bytes = {.memory = {allocate, deallocate, reallocate, zero_allocate, NULL}};
+  int result = real_rmw_serialize()(response, entry->response, &bytes);
+  if (result == 0) {
+    asked_file(name, (uint32_t)id->number, ".answer");
+    asked_file(partial, (uint32_t)id->number, ".partial");
+    int file = open(partial, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+    if (file >= 0 && write(file, bytes.buffer, bytes.length) == (ssize_t)bytes.length)
+      rename(partial, name);
+    if (file >= 0)
+      close(file);
+  }
+  free(bytes.buffer);
+  return result;
+}
+
 /* -- the helper thread: what is kept, and with how many endpoints each port is matched ------------------------------ */
 
 static void wait_for_bell(_Atomic uint32_t *bell, uint32_t seen)
@@ -1119,6 +1246,7 @@ static void look_at(struct entry *entry)
 
 static void look(void)
 {
+  take_asked();
   for (unsigned index = 0; index < used_count; index++)
     used_ports[index].matched = used_ports[index].waiting = 0;
   for (struct table *table = &first; table; table = atomic_load(&table->next))
@@ -1241,6 +1369,25 @@ EXPORT int rcl_remap_node_name(const void *local, const void *global, const char
 
 /* -- the functions of librcl ---------------------------------------------------------------------------------------- */
 
+/* Mark the node by the identity of the first publisher of its process, by which the graph shows what belongs to it. */
+static void mark(const void *publisher)
+{
+  if (atomic_load(&node->marked) || !real_rcl_publisher_get_rmw_handle() || !real_rmw_get_gid_for_publisher())
+    return;
+  struct identity identity;
+  if (real_rmw_get_gid_for_publisher()(real_rcl_publisher_get_rmw_handle()(publisher), &identity) != 0) {
+    if (real_rcutils_reset_error())
+      real_rcutils_reset_error()();
+    return;
+  }
+  pthread_mutex_lock(&lock);
+  if (!atomic_load(&node->marked)) {
+    memcpy(node->mark, identity.data, MARK);
+    atomic_store(&node->marked, 1);
+  }
+  pthread_mutex_unlock(&lock);
+}
+
 EXPORT int rcl_publisher_init(void *publisher, const void *owner, const void *type, const char *name, const void *options)
 {
   int result = real_rcl_publisher_init()(publisher, owner, type, name, options);
@@ -1248,6 +1395,8 @@ EXPORT int rcl_publisher_init(void *publisher, const void *owner, const void *ty
     real_rcl_publisher_fini()(publisher, (void *)owner);
     return BAD_ALLOC;
   }
+  if (page && result == 0)
+    mark(publisher);
   return result;
 }
 
@@ -1297,6 +1446,9 @@ EXPORT int rcl_service_init(void *service, const void *owner, const void *type, 
     real_rcl_service_fini()(service, (void *)owner);
     return BAD_ALLOC;
   }
+  struct entry *entry = result == 0 ? find(service) : NULL;
+  if (entry)
+    entry->response = ((const struct service_type *)type)->response;
   return result;
 }
 
@@ -1366,8 +1518,10 @@ EXPORT int rcl_take_request(const void *service, struct request_id *id, void *re
 
 EXPORT int rcl_send_response(const void *service, struct request_id *id, void *response)
 {
-  int result = real_rcl_send_response()(service, id, response);
   struct entry *entry = find(service);
+  if (entry && is_asked(id))
+    return respond(entry, id, response);
+  int result = real_rcl_send_response()(service, id, response);
   struct requests *requests = entry ? requests_of(entry->me) : NULL;
   if (requests)
     answered(entry, requests);

@@ -24,6 +24,7 @@
 #define GROWTH 64 /* how many ports the file grows by */
 #define CLIENTS 512 /* how many clients of its services are known for a role at once */
 #define NAME 256
+#define MARK 16 /* of the identity of an endpoint in the graph */
 
 /* Of a port: what its endpoints are. NODE: it is no port, and names a ROS node of the process instead of a topic. */
 enum { UNUSED = 0, OUTPUT = 1, INPUT = 2, SERVER = 3, CLIENT = 4, NODE = 5 };
@@ -66,7 +67,10 @@ struct node {
   _Atomic uint32_t unanswered; /* how many requests it has claimed, and not answered yet */
   _Atomic int64_t answered; /* when it answered last: CLOCK_MONOTONIC, ns; 0: never */
   _Atomic uint32_t unstated; /* index + 1 in `batons`: which node of the role may write on topics that are no ports; 0: each */
-  uint32_t spare[5];
+  _Atomic uint32_t asked; /* the number of the last request that the manager has put into a file for this node alone */
+  _Atomic uint32_t marked; /* whether `mark` is set: then the graph shows its process under it */
+  uint8_t mark[MARK];      /* the identity of the first publisher of its process, which begins with that of the process */
+  uint32_t spare;
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */
 };

@@ -9,7 +9,7 @@ import ctypes
 import os
 import time
 from collections.abc import Iterator, Sequence
-from ctypes import c_char, c_int, c_int64, c_uint32, c_uint64, c_void_p
+from ctypes import c_char, c_int, c_int64, c_uint8, c_uint32, c_uint64, c_void_p
 from enum import IntEnum, IntFlag
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +25,8 @@ BATONS: Final = 1024
 MOST_PORTS: Final = 65536
 ROOM: Final = 64
 NAME: Final = 256
+# Of the identity of an endpoint in the graph.
+MARK: Final = 16
 # How many clients of its services are known for a role at once.
 CLIENTS: Final = 512
 
@@ -92,7 +94,10 @@ class PageNode(ctypes.Structure):
         ("unanswered", c_uint32),
         ("answered", c_int64),
         ("unstated", c_uint32),
-        ("spare", c_uint32 * 5),
+        ("asked", c_uint32),
+        ("marked", c_uint32),
+        ("mark", c_uint8 * MARK),
+        ("spare", c_uint32),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
     ]
@@ -271,6 +276,8 @@ class Page:
         self._library.midstride_free(self._address, index)
         if baton:
             self._leave_unstated(index, baton)
+        for path in self.path.parent.glob(f"{self.path.name}.{index}.*"):
+            path.unlink(missing_ok=True)
         if number and any(node.used and node.requests == number for node in self.layout.nodes):
             self._step_requests(number, RequestsStep.FORGET, index)
             self._requests[number - 1].shared = False
@@ -354,6 +361,46 @@ class Page:
         """By full name, the services that the node ``index`` has now."""
         found = (port for port in self.every_port() if port.node == index + 1 and port.kind == SERVER)
         return {port.topic.decode(): port for port in found if port.endpoints}
+
+    # -- requests of the manager to one node ----------------------------------------------------------
+
+    def ask(self, index: int, service: str, request: bytes) -> int:
+        """Put a request to a service (full name) of the node ``index`` alone; its number. Raises BackendError."""
+        node = self.layout.nodes[index]
+        number = int(node.asked) + 1 & 0xFFFFFFFF
+        path = self._asked(index, number)
+        try:
+            path.write_bytes(service.encode() + b"\0" + request)
+        except OSError as error:
+            raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
+        node.asked = number
+        self.ring(index)
+        return number
+
+    def response(self, index: int, number: int) -> bytes | None:
+        """The response to the request ``number``; None until there is one. It is read once. Raises BackendError."""
+        path = self._asked(index, number, ".answer")
+        try:
+            found = path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise BackendError(f"{path} cannot be read: {error.strerror or error}") from None
+        path.unlink(missing_ok=True)
+        return found
+
+    def withdraw(self, index: int, number: int) -> None:
+        """The request ``number`` has been answered, or is not waited for any longer; it may be handled all the same."""
+        for suffix in ("", ".answer"):
+            self._asked(index, number, suffix).unlink(missing_ok=True)
+
+    def _asked(self, index: int, number: int, suffix: str = "") -> Path:
+        return self.path.with_name(f"{self.path.name}.{index}.{number}{suffix}")
+
+    def mark(self, index: int) -> bytes | None:
+        """The identity by which the graph shows the first publisher of the process; None until there is one."""
+        node = self.layout.nodes[index]
+        return bytes(node.mark) if node.marked else None
 
     # -- what its processes do -------------------------------------------------------------------------
 

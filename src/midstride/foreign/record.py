@@ -23,7 +23,8 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     functionality; ``fallen``: why the reflex has entered these, where it has. ``stated``: the parameters of the
     specification; ``taken_over``: those that were set while its predecessor ran; ``started_with``: all that it had at
     first, once known, except what is only taken over; ``requested``: those that Midstride was asked to set.
-    ``predecessor``: the full name of the node that it replaces, where that runs until this one is up.
+    ``predecessor``: the full name of the node that it replaces, where that runs until this one is up; ``replaces``: the
+    instance that has it.
     ``was_active``: it is a lifecycle node that another program manages, and it or its predecessor has been active.
     ``role``: what it is an instance of. ``unnamed``: its program gives the node its name itself, and it was not passed
     one; ``node`` is empty until it is found. ``revision`` counts its changes.
@@ -48,6 +49,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     requested: list[str] = []
     welcomed: bool = False
     predecessor: str | None = None
+    replaces: str = ""
     was_active: bool = False
     role: str = ""
     unnamed: bool = False

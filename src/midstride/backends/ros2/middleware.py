@@ -75,7 +75,10 @@ class RmwImplementation:
 
         Except with Fast DDS, it is that of one ROS context: a process that makes a second one is not known to be one.
         """
-        gid = bytes(info.endpoint_gid)
+        return self.process_with(bytes(info.endpoint_gid))
+
+    def process_with(self, gid: bytes) -> NodeProcess | None:
+        """The process that has the endpoint of that identity; None if that is not told."""
         if not self.fast_dds:
             return None if self.participant is None else NodeProcess(gid[: self.participant])
         return NodeProcess(gid[:_PROCESS], gid[:_HOST], int.from_bytes(gid[_HOST : _HOST + 2], "little"))

@@ -32,6 +32,7 @@ from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, names
 from midstride.backends.ros2.component.early_join import hidden_node
 from midstride.backends.ros2.manager import launching, process_nodes
+from midstride.backends.ros2.manager.addressed_services import AddressedServices
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_services import RosNodeServices
@@ -39,7 +40,7 @@ from midstride.backends.ros2.manager.own_names import StartName, named
 from midstride.backends.ros2.manager.topic_listener import RosListener
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint, Served
-from midstride.foreign.page import GATES_FOLDER
+from midstride.foreign.page import GATES_FOLDER, Page
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import KILL_AT_ONCE, ComponentSpec, StopTimes
 from midstride.model.contract import Predicate
@@ -99,6 +100,7 @@ class Ros2Backend(ProcessBackend, Backend):
             self._graph_of,
             self._served_by,
             self._nodes_in,
+            self._addressed,
         )
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
@@ -114,7 +116,7 @@ class Ros2Backend(ProcessBackend, Backend):
             raise BackendError(f"ROS 2 cannot be joined: {error}") from error
         self._context = context
         self._opened = time.monotonic()
-        self._graph = Graph(self._node)
+        self._graph = Graph(self._node, marked=self._foreign_nodes.marked)
         for words in self.warnings:
             self._node.get_logger().warning(words)
 
@@ -172,8 +174,13 @@ class Ros2Backend(ProcessBackend, Backend):
             is_taken = graph.has_instance(own_name)
         else:
             if not launch.foreign.once:
-                start_name = self._foreign_nodes.start_name(launch, launch.foreign, graph.has)
-            is_taken = start_name.passed and graph.has(start_name.full)
+                start_name = self._foreign_nodes.start_name(
+                    launch,
+                    launch.foreign,
+                    lambda name: graph.has(name) or bool(graph.of_name(name)),
+                    may_share=graph.rmw.participant is not None,
+                )
+            is_taken = start_name.passed and not start_name.shared and graph.has(start_name.full)
             if launch.foreign.gate != "relay" and start_name.full:
                 node = start_name.full
         if (
@@ -201,7 +208,8 @@ class Ros2Backend(ProcessBackend, Backend):
         )
         record = msgspec.structs.replace(record, unnamed=not start_name.passed)
         try:
-            graph.starts(start_name.full or own_name)
+            if not start_name.shared:
+                graph.starts(start_name.full or own_name)
             command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, start_name))
             handle = await self._spawn(launch, own_name, command, environment)
             await self._foreign_nodes.started(record, handle)
@@ -257,11 +265,14 @@ class Ros2Backend(ProcessBackend, Backend):
     def _services_of(self, node: str) -> RosNodeServices:
         return RosNodeServices(self._node, node)
 
-    def _graph_of(self, node: str) -> list[GraphEndpoint]:
-        return [] if self._context is None else self._graph.of_process(node)
+    def _addressed(self, node: str, page: Page, index: int, alone: bool) -> AddressedServices:
+        return AddressedServices(self._node, node, page, index, alone=alone)
 
-    def _served_by(self, node: str) -> Served:
-        return Served() if self._context is None else self._graph.served_by(node)
+    def _graph_of(self, node: str, mark: bytes | None) -> list[GraphEndpoint]:
+        return [] if self._context is None else self._graph.of_process(node, mark)
+
+    def _served_by(self, node: str, services: frozenset[str] | None) -> Served:
+        return Served() if self._context is None else self._graph.served_by(node, services)
 
     def _nodes_in(self, enclave: str) -> list[str]:
         return [] if self._context is None else self._graph.of_enclave(enclave)
@@ -276,7 +287,7 @@ class Ros2Backend(ProcessBackend, Backend):
     async def _foreign(self, node: str, system: str) -> bool:
         """Whether a node of that name is in the graph that is no instance of the system."""
         for found in self._joined().of_name(node):
-            if found is None and self._foreign_nodes.runs(node):
+            if found is None and self._foreign_nodes.runs_unmarked(node):
                 continue  # of the system, and without Midstride's API
             if found is None or found.node != node or found.system not in ("", system):
                 return True
@@ -292,10 +303,12 @@ class Ros2Backend(ProcessBackend, Backend):
         self._gone(instance)
 
     def _gone(self, instance: str) -> None:
-        node = self._foreign_nodes.node_of(instance) or full_name(instance)
+        node, mark = self._foreign_nodes.node_of(instance) or full_name(instance), self._foreign_nodes.mark_of(instance)
         self._foreign_nodes.gone(instance)
-        if self._context is not None:
-            for name in {node, full_name(instance)}:
+        if self._context is None or (mark is not None and self._graph.ended(mark)):
+            return
+        for name in {node, full_name(instance)}:
+            if not self._foreign_nodes.runs(name):  # that of its successor
                 self._graph.died(name)
 
     def disconnected(self, instance: str) -> None:

@@ -10,9 +10,8 @@ import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace as replaced
-from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 from msgspec.structs import replace
 
@@ -21,7 +20,7 @@ from midstride.backends.naming import topics_of
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
 from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, parameters_text, write_parameters
 from midstride.backends.ros2.manager.process_nodes import AskedProcess
-from midstride.backends.ros2.names import system_tag
+from midstride.backends.ros2.names import InstanceNode, system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CommandRefused
@@ -49,6 +48,13 @@ ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
 # Of what is only described, instead of a number or a name that is made when the process is started.
 GIVEN_AT_THE_START: Final = "(given at the start)"
 
+# What the graph shows of a node, by its full name and, where its process has one, its mark.
+GraphOf: TypeAlias = Callable[[str, bytes | None], Sequence[GraphEndpoint]]
+# What a node serves, by its full name and, where they are known, the full names of its services.
+ServedBy: TypeAlias = Callable[[str, frozenset[str] | None], Served]
+# What the node of a page with this full name and index can be asked, and whether no other had its name at its start.
+Addressed: TypeAlias = Callable[[str, Page, int, bool], NodeServices]
+
 log = logging.getLogger(__name__)
 
 
@@ -56,7 +62,9 @@ class ForeignNodes:
     """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``.
 
     ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it;
-    ``served(node)``: what the node serves; ``nodes_in(enclave)``: the full names of the nodes in it.
+    ``served(node)``: what the node serves; ``nodes_in(enclave)``: the full names of the nodes in it. To both of the
+    former, the mark and the services of a node with a gate inside are passed, where they are known.
+    ``addressed``: what one of several nodes of a name can be asked.
     """
 
     def __init__(
@@ -64,9 +72,10 @@ class ForeignNodes:
         folder: Path,
         transport: Transport,
         services: Callable[[str], NodeServices | None],
-        graph: Callable[[str], Sequence[GraphEndpoint]] | None = None,
-        served: Callable[[str], Served] | None = None,
+        graph: GraphOf | None = None,
+        served: ServedBy | None = None,
         nodes_in: Callable[[str], Sequence[str]] = lambda enclave: (),
+        addressed: Addressed | None = None,
     ) -> None:
         self._folder = folder
         self._transport = transport
@@ -86,10 +95,45 @@ class ForeignNodes:
         self._own_names = OwnNames(folder)
         self._finding: dict[str, asyncio.Task[None]] = {}
         self._nodes_in = nodes_in
+        self._addressed = addressed
 
-    def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
-        """Return what the node of the instance is called. Raises StartFailed."""
-        return self._own_names.start_name(launch, component, runs)
+    def start_name(
+        self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool], *, may_share: bool = False
+    ) -> StartName:
+        """Return what the node of the instance is called. Raises StartFailed.
+
+        A replacement of a node with a gate inside has its name, where that has one, too: one of them answers.
+        ``may_share``: the graph tells which process an endpoint belongs to.
+        """
+        old = self._agents.get(launch.predecessor)
+        if may_share and component.preloads and old is not None and self._can_share(old.node.record):
+            shared = self._own_names.shared_name(old.node.record.node, launch, component)
+            if shared is not None:
+                return shared
+        return self._own_names.start_name(launch, component, lambda node: runs(node) or self.runs(node))
+
+    def _can_share(self, record: ForeignRecord) -> bool:
+        """Whether another node may have the name of this one: its library claims requests."""
+        return bool(record.node) and self._addressed is not None and self._servers(record) is not None
+
+    def marked(self) -> dict[bytes, InstanceNode]:
+        """By the identity of a publisher of its process, the instances whose gate is inside."""
+        found = {}
+        for agent in self._agents.values():
+            record = agent.node.record
+            if (mark := self._mark(record)) is not None and record.node:
+                inside = split_name(record.node)[1]
+                instance = full_name(record.instance, inside)
+                found[mark] = InstanceNode(instance, record.node, system_tag(record.token))
+        return found
+
+    def mark_of(self, instance: str) -> bytes | None:
+        """The identity of a publisher of the process of an instance; None where it is not known."""
+        agent = self._agents.get(instance)
+        return None if agent is None else self._mark(agent.node.record)
+
+    def _mark(self, record: ForeignRecord) -> bytes | None:
+        return None if record.index is None or self._page is None else self._page.mark(record.index)
 
     async def prepare(
         self, launch: Launch, component: ComponentSpec, node: str, environment: Mapping[str, str]
@@ -126,6 +170,7 @@ class ForeignNodes:
             predecessor=self._node_name(launch.predecessor, launch.namespace) if launch.predecessor else None,
             was_active=(old := self._agents.get(launch.predecessor)) is not None and old.node.record.was_active,
             role=launch.role,
+            replaces=launch.predecessor,
         )
         return variables, record
 
@@ -162,8 +207,15 @@ class ForeignNodes:
         """The full name of the lifecycle node that an instance replaces; empty where there is none."""
         if not launch.predecessor or self._served is None:
             return ""
-        node = self._node_name(launch.predecessor, launch.namespace)
-        return node if self._served(node).has_lifecycle else ""
+        node, old = self._node_name(launch.predecessor, launch.namespace), self._agents.get(launch.predecessor)
+        services = None if old is None else self._servers(old.node.record)
+        return node if self._served(node, services).has_lifecycle else ""
+
+    def _servers(self, record: ForeignRecord) -> frozenset[str] | None:
+        """The services that the gate inside the process sees; None where there is none, or it sees none."""
+        if record.index is None or self._page is None:
+            return None
+        return frozenset(self._page.servers(record.index)) or None
 
     def describe(
         self, launch: Launch, component: ComponentSpec, name: StartName, environment: Mapping[str, str]
@@ -246,6 +298,11 @@ class ForeignNodes:
         """Whether a process without Midstride's API has the ROS node of this full name."""
         return node in self._relayed.values() or any(a.node.record.node == node for a in self._agents.values())
 
+    def runs_unmarked(self, node: str) -> bool:
+        """The same, of processes that are not marked: what the graph shows does not tell them from others."""
+        records = (agent.node.record for agent in self._agents.values())
+        return node in self._relayed.values() or any(each.node == node and not self._mark(each) for each in records)
+
     def unwritten(self) -> str | None:
         """Why the record of one of them could not be written."""
         return next((why for agent in self._agents.values() if (why := agent.node.unwritten) is not None), None)
@@ -308,7 +365,7 @@ class ForeignNodes:
             return AskedProcess(instance)
         record = agent.node.record
         listed = None if record.index is None or self._page is None else self._page.ros_nodes(record.index)
-        return AskedProcess(instance, record.node, listed)
+        return AskedProcess(instance, record.node, listed, mark=self._mark(record))
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
@@ -328,26 +385,37 @@ class ForeignNodes:
         if record.index is not None and self._page is not None:
             gates = Gates(self._page, record.index, record.declaration.declared())
         self.names.add(record.node)
-        services = self._services(record.node)
-        graph = None if self._graph is None else partial(self._graph, record.node)
-        served = None if self._served is None else partial(self._served, record.node)
-        before = None if self._graph is None or not record.predecessor else self._graph(record.predecessor)
+        old = self._agents.get(record.replaces)
+        before = None
+        if self._graph is not None and record.predecessor:
+            before = self._graph(record.predecessor, None if old is None else self._mark(old.node.record))
         follows = self._served is not None and bool(record.predecessor) and not record.welcomed
         agent = ForeignAgent(
             record,
             self._folder,
             gates,
-            services,
+            self._services_to(record),
             self._peers,
-            graph,
+            None if (graph := self._graph) is None else lambda: graph(record.node, self._mark(record)),
             self._reported,
-            served=served,
+            served=None if (served := self._served) is None else lambda: served(record.node, self._servers(record)),
             before=before or (),
-            predecessor=self._services(record.predecessor) if record.predecessor and follows else None,
+            predecessor=self._services_of_predecessor(record, old) if follows else None,
             managers=self._managers,
         )
         self._agents[record.instance] = agent
         await agent.open(self._transport)
+
+    def _services_to(self, record: ForeignRecord) -> NodeServices | None:
+        """What the node of ``record`` can be asked: where another may have its name, this one alone."""
+        if self._addressed is None or record.index is None or self._page is None:
+            return self._services(record.node)
+        return self._addressed(record.node, self._page, record.index, record.node != record.predecessor)
+
+    def _services_of_predecessor(self, record: ForeignRecord, old: ForeignAgent | None) -> NodeServices | None:
+        if old is not None:
+            return self._services_to(old.node.record)
+        return self._services(record.predecessor) if record.predecessor else None
 
     async def finish(self, instance: str) -> None:
         """Before its process is ended: requests to answer, and the last transitions of a lifecycle node."""

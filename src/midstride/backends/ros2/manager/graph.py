@@ -1,7 +1,8 @@
 """The graph as the manager's node sees it, without what the manager knows to be dead.
 
 The instances of a role have one node name. So an endpoint is shown under the name of its instance, which the control
-node of its process tells (:func:`..names.controlled`); a foreign node has none, and is shown under its node's name.
+node of its process tells (:func:`..names.controlled`), or the mark of a process with a gate inside; any other foreign
+node is shown under its own name.
 
 A process that was killed stays in the graph until its lease runs out. Its exit is known at once, so everything under
 its name is ignored from then on. Once another process of that name is about to start, what the graph shows under the
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
@@ -41,10 +42,20 @@ _Instances: TypeAlias = Mapping[bytes | str, InstanceNode | None]
 
 
 class Graph:
-    """To be used on one thread. ``node`` is rclpy's; ``rmw`` is what the middleware can tell."""
+    """To be used on one thread. ``node`` is rclpy's; ``rmw`` is what the middleware can tell.
 
-    def __init__(self, node: Any, rmw: RmwImplementation | None = None) -> None:
+    ``marked``: by the identity of an endpoint of its process, each instance whose process is known by that.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        rmw: RmwImplementation | None = None,
+        marked: Callable[[], Mapping[bytes, InstanceNode]] = dict,
+    ) -> None:
         self._node = node
+        self._marked = marked
+        self._ended: dict[bytes, float] = {}  # by process
         self.rmw = middleware.of_this_process() if rmw is None else rmw
         self._died: dict[str, float] = {}
         self._dead_endpoints: dict[bytes, float] = {}
@@ -53,6 +64,12 @@ class Graph:
     def died(self, full_name: str) -> None:
         """The process of a node has ended."""
         self._died[full_name] = time.monotonic()
+
+    def ended(self, mark: bytes) -> bool:
+        """The process with the endpoint of that identity has ended; whether the graph tells what belongs to it."""
+        if self.rmw.participant is not None:
+            self._ended[mark[: self.rmw.participant]] = time.monotonic()
+        return self.rmw.participant is not None
 
     def starts(self, full_name: str) -> None:
         """A process is about to start under the name of a node that is free."""
@@ -67,6 +84,9 @@ class Graph:
 
     def _lives(self, info: Any, name: str) -> bool:
         died = self._died.get(name)
+        ended = self._ended.get(self.rmw.process_of(info) or b"")
+        if ended is not None and time.monotonic() - ended <= self.rmw.linger:
+            return False
         return (died is None or time.monotonic() - died > self.rmw.linger) and _gid(info) not in self._dead_endpoints
 
     def has(self, full_name: str) -> bool:
@@ -115,13 +135,23 @@ class Graph:
         listed = self._node.get_node_names_and_namespaces_with_enclaves()
         return [full_name(name, inside) for name, inside, found in listed if found == enclave]
 
-    def of_process(self, node: str) -> list[GraphEndpoint]:
-        """The endpoints of a node that no component has, by its full name."""
-        instances = self._instances()
+    def of_process(self, node: str, mark: bytes | None = None) -> list[GraphEndpoint]:
+        """The endpoints of a node that no component has, by its full name.
+
+        Of several of that name, it is the one of the process with the ``mark``, or of none that has one.
+        """
+        instances, process = self._instances(), None if mark is None else mark[: self.rmw.participant]
+
+        def belongs(info: Any) -> bool:
+            found = self._process(info)
+            if self.rmw.participant is not None and process is not None:
+                return found == process
+            return found not in instances
+
         return [
             GraphEndpoint(output, topic, info.topic_type, port_endpoints.qos_of(info.qos_profile))
             for output, topic, info in self._of_node(node)
-            if self._lives(info, node) and self._process(info) not in instances
+            if self._lives(info, self._name(info, instances)) and belongs(info)
         ]
 
     @property
@@ -144,10 +174,18 @@ class Graph:
         """The topics that a node publishes on, without those of every node."""
         return sorted(topic for topic in self._topics_of(node, True) if not is_infrastructure(topic, output=True))
 
-    def served_by(self, node: str) -> Served:
-        """The services and ROS actions of a node that others may rely on, and whether it is a lifecycle node."""
+    def served_by(self, node: str, services: Collection[str] | None = None) -> Served:
+        """The services and ROS actions of a node that others may rely on, and whether it is a lifecycle node.
+
+        ``services``: the full names of all that it has, where they are known: of several nodes of one name, the graph
+        lists those of one.
+        """
         try:
-            found = self._node.get_service_names_and_types_by_node(*split_name(node))
+            if services is None:
+                found = self._node.get_service_names_and_types_by_node(*split_name(node))
+            else:
+                shown = self._node.get_service_names_and_types()
+                found = [(name, types) for name, types in shown if name in services]
         except NodeNameNonExistentError:
             return Served()
         served = set()
@@ -266,8 +304,9 @@ class Graph:
         return self._known
 
     def _instances(self) -> _Instances:
-        if self.rmw.participant is not None:
-            return {self._process(info): found for info, found in self._controls()}
+        if (length := self.rmw.participant) is not None:
+            marked = {mark[:length]: found for mark, found in self._marked().items()}
+            return marked | {self._process(info): found for info, found in self._controls()}
         listed = Counter(self._node_names())
         return {found.node: found if listed[found.node] == 1 else None for _, found in self._controls()}
 

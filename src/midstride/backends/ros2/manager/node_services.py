@@ -75,13 +75,18 @@ class RosNodeServices:
         return bool((await self._call(ChangeState, "change_state", timeout, request, lost)).success)
 
     async def parameters(self, timeout: float) -> dict[str, Any]:
-        if self._node.get_node_names_and_namespaces().count(split_name(self._name)) > 1:
+        if self._is_ambiguous:
             raise NoAnswer(f"more than one node is called {self._name}: either may answer for the other")
         names = (await self._call(parameter_srv.ListParameters, "list_parameters", timeout)).result.names
         request = parameter_srv.GetParameters.Request(names=names)
         values = (await self._call(parameter_srv.GetParameters, "get_parameters", timeout, request)).values
         found = {name: as_json(parameter_value_to_python(value)) for name, value in zip(names, values, strict=False)}
         return {name: value for name, value in found.items() if value is not None}
+
+    @property
+    def _is_ambiguous(self) -> bool:
+        """Whether a request may reach another node of the same name."""
+        return int(self._node.get_node_names_and_namespaces().count(split_name(self._name))) > 1
 
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
@@ -106,13 +111,11 @@ class RosNodeServices:
         loop = asyncio.get_running_loop()
         deadline = loop.time() + timeout
         name = f"{self._name}/{service}"
-        client = self._clients.get(service)
-        if client is None:
-            client = self._clients[service] = self._node.create_client(type_, name, callback_group=self._group)
-        while not client.service_is_ready():
+        while not self._offers(type_, service):
             if loop.time() >= deadline:
                 raise NoAnswer(f"it has offered no service {name} within {timeout:g} s")
             await asyncio.sleep(INTERVAL)
+        client = self._clients[service]
         answered: asyncio.Future[Any] = loop.create_future()
         waiting, sent = self._waiting.setdefault(service, {}), -math.inf
         try:
@@ -130,6 +133,13 @@ class RosNodeServices:
         finally:
             for number in [number for number, each in waiting.items() if each is answered]:
                 del waiting[number]
+
+    def _offers(self, type_: Any, service: str) -> bool:
+        """Whether the graph shows the service, of which a client is made first."""
+        if service not in self._clients:
+            name = f"{self._name}/{service}"
+            self._clients[service] = self._node.create_client(type_, name, callback_group=self._group)
+        return bool(self._clients[service].service_is_ready())
 
     @staticmethod
     def _take(client: Any, waiting: Mapping[int, asyncio.Future[Any]]) -> None:

@@ -8,7 +8,7 @@ sections of parameter files that are for it are known when another instance is s
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Final
@@ -33,12 +33,13 @@ class StartName:
     """The name that a node is started with: its ``full`` name, empty where that is not known yet.
 
     ``passed``: whether it is passed to the process; ``original``: the full name of the one node of the process that it
-    is for, where that is known.
+    is for, where that is known. ``shared``: the instance that it replaces has it as well.
     """
 
     full: str
     passed: bool = True
     original: str = ""
+    shared: bool = False
 
 
 def named(full: str, component: ComponentSpec) -> StartName:
@@ -80,10 +81,14 @@ class OwnNames:
     def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
         """Return what the node of an instance is called. ``runs``: whether a node of that full name is in the graph.
 
-        A replacement gets another number than its instance has where a node outside the system has that name. Raises
+        Where nothing that it replaces has that name, it is the role's (`gate preload`), or that of the instance. A
+        replacement gets another number than its instance has where a node outside the system has that name. Raises
         StartFailed.
         """
         if not component.unnamed:
+            role = full_name(launch.role or launch.instance, launch.namespace)
+            if component.preloads and not runs(role):  # as after a crash
+                return named(role, component)
             name = launch.instance
             if name != launch.role and runs(full_name(name, launch.namespace)):
                 names = (f"{launch.role}_{number}" for number in count(2))
@@ -97,3 +102,12 @@ class OwnNames:
             raise StartFailed(f"{launch.instance}: a node {own} is running already; end it, or name the node")
         name, namespace = split_name(own)
         return StartName(full_name(name + number, namespace), original=own)
+
+    def shared_name(self, node: str, launch: Launch, component: ComponentSpec) -> StartName | None:
+        """The name ``node``, of the one that the instance replaces; None where it cannot be given to its program."""
+        if not component.unnamed:
+            return replace(named(node, component), shared=True)
+        own = self.known(launch.role)
+        if not own:
+            return None
+        return StartName(node, passed=own != node, original="" if own == node else own, shared=True)

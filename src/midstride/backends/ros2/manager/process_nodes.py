@@ -27,12 +27,14 @@ class AskedProcess:
 
     ``node``: the full name of the node of its program, where that does not use Midstride's API. ``listed``: all nodes
     that the preloaded library has seen, None where there is none. ``programs``: how many processes it is meant to have.
+    ``mark``: the identity of an endpoint of its process, where that is known: another may have a node of its name.
     """
 
     instance: str
     node: str | None = None
     listed: Sequence[str] | None = None
     programs: int = 1
+    mark: bytes | None = None
 
     @property
     def is_foreign(self) -> bool:
@@ -55,7 +57,7 @@ def other_nodes(
     ``families``: the numbers of the processes that belong to each instance, asked for only where they are needed.
     """
     shown = graph.processes()
-    found = {each.instance: _own(each, shown) for each in asked}
+    found = {each.instance: _own(each, shown, graph.rmw) for each in asked}
     own = {(key, name) for each in found.values() for key in each.processes for name in each.own}
     visible = [(node, process) for node, process in shown if not names.is_hidden(node)]
     left = Counter((process.key, node) for node, process in visible) - Counter(own)
@@ -80,8 +82,8 @@ def other_nodes(
     return answer
 
 
-def _own(asked: AskedProcess, shown: Iterable[tuple[str, NodeProcess]]) -> _Found:
-    found = _Found()
+def _own(asked: AskedProcess, shown: Iterable[tuple[str, NodeProcess]], rmw: RmwImplementation) -> _Found:
+    found, marked = _Found(), None if asked.mark is None else rmw.process_with(asked.mark)
     if asked.node is not None:
         found.own.add(asked.node)
     for node, process in shown:
@@ -89,7 +91,7 @@ def _own(asked: AskedProcess, shown: Iterable[tuple[str, NodeProcess]]) -> _Foun
         if instance is not None and instance.instance == full_name(asked.instance):
             found.own.add(instance.node)
             found.processes[process.key] = process
-        elif node == asked.node:
+        elif node == asked.node and (marked is None or process.key == marked.key):
             found.processes[process.key] = process
     return found
 

@@ -1,0 +1,97 @@
+"""A node without Midstride's API keeps its name: one client sets its parameters across its replacements.
+
+MIDSTRIDE_NAME_REPLACEMENTS says how many replacements the long test makes, where 50 take too long.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
+from midstride.lang.load import load
+from tests.acceptance.foreign_support import Robot, declared_talker, robot
+from tests.acceptance.support import ended
+from tests.backends.ros2_support import run
+
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
+
+REPLACEMENTS = int(os.environ.get("MIDSTRIDE_NAME_REPLACEMENTS", "50"))
+
+# Plain rclpy: it says its instance, and notes each value that is set.
+MAPPER = """
+import os
+import rclpy
+from itertools import count
+from pathlib import Path
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from std_msgs.msg import String
+
+rclpy.init()
+node, numbers, own = Node("mapper"), count(1), os.environ["MIDSTRIDE_INSTANCE"]
+publisher = node.create_publisher(String, "chatter", 10)
+node.declare_parameter("resolution", 0.1)
+
+def check(parameters):
+    with (Path(__file__).parent / "set").open("a") as file:
+        file.writelines(f"{each.value} {own}\\n" for each in parameters)
+    return SetParametersResult(successful=True)
+
+node.add_on_set_parameters_callback(check)
+node.create_timer(0.02, lambda: publisher.publish(String(data=f"{own} {next(numbers)}")))
+try:
+    rclpy.spin(node)
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
+"""
+
+
+def kept_across(folder: Path, number: int) -> None:
+    (folder / "mapper.py").write_text(MAPPER, encoding="utf-8")
+    text = "system mapping\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
+    text += declared_talker("Plain", "python3 mapper.py", "preload")
+    text += declared_talker("Other", "python3 mapper.py", "preload")
+    (folder / "mapping.stride").write_text(f"{text}node mapper : Plain {{ out -> /chat }}\n", encoding="utf-8")
+
+    async def scenario() -> None:
+        async with robot(load(folder / "mapping.stride").require(), folder) as system:
+            client = system.bare.node.create_client(SetParameters, "/mapper/set_parameters")
+            await system.until(client.service_is_ready)
+            for count in range(number + 1):
+                if count:
+                    await system.replaced("Plain" if count % 2 == 0 else "Other", role="mapper")
+                await system.until(lambda: system.bare.node.get_node_names().count("mapper") == 1)
+                found = await values(system)
+                assert found == ({"resolution": 0.1} if not count else {"resolution": float(count)}), count
+                value = float(count + 1)
+                request = SetParameters.Request(parameters=[Parameter("resolution", value=value).to_parameter_msg()])
+                answer = client.call_async(request)
+                await system.until(answer.done)
+                assert [each.successful for each in answer.result().results] == [True]
+            assert system.holes() == []
+            assert not any(name.startswith("mapper_") for name in system.bare.node.get_node_names())
+        # Each value was set by one of the two: by the one that answered. The next one was started with it.
+        lines = [line.split() for line in (folder / "set").read_text().splitlines()]
+        assert [float(value) for value, _ in lines] == [float(count + 1) for count in range(number + 1)]
+        assert len({instance for _, instance in lines}) > 1
+
+    async def values(system: Robot) -> dict[str, object]:
+        (report,) = await system.manager.parameters("mapper")
+        return {each.name: each.value for each in report.parameters if each.name == "resolution"}
+
+    with ended():
+        run(scenario(), 3600)
+
+
+def test_one_client_sets_the_parameters_of_a_node_across_replacements(tmp_path: Path) -> None:
+    kept_across(tmp_path, 3)
+
+
+@pytest.mark.long
+def test_one_client_sets_the_parameters_of_a_node_across_many_replacements(tmp_path: Path) -> None:
+    kept_across(tmp_path, REPLACEMENTS)
