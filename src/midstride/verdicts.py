@@ -247,8 +247,10 @@ def ends_with(instance: str, served: Sequence[str], *, planned: bool) -> Assessm
 
 def answered_if_offered(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
     """The services of a node without Midstride's API are answered by its successor, a node of another component."""
-    verb = "is answered" if planned else "was answered"
-    words = f"requests of others: {listed(served)} {verb} by the replacement of {instance} only if that offers it"
+    one = len(served) == 1
+    verb = ("is" if one else "are") if planned else ("was" if one else "were")
+    replacement = f"the replacement of {instance} only if that offers {'it' if one else 'them'}"
+    words = f"requests of others: {listed(served)} {verb} answered by {replacement}"
     return Assessment(instance, "not_measurable", words)
 
 

@@ -110,17 +110,26 @@ def test_a_topic_that_is_handed_over_has_one_writer(old: Gate, new: Gate, named:
 
 
 @pytest.mark.parametrize(
-    ("gate", "component", "found"),
+    ("gate", "component", "keeps_name", "found"),
     [
-        ("preload", "Mapper", ["/mapper/save and ROS action /dock end with mapper"]),
-        ("preload", "Other", ["/mapper/save and ROS action /dock end with mapper", "/reset is answered by"]),
-        ("none", "Mapper", ["/mapper/save, service /reset and ROS action /dock end with mapper"]),
+        ("preload", "Mapper", False, ["/mapper/save and ROS action /dock end with mapper"]),
+        ("preload", "Other", False, ["/mapper/save and ROS action /dock end with mapper", "/reset is answered by"]),
+        ("preload", "Mapper", True, ["ROS action /dock ends with mapper"]),
+        (
+            "preload",
+            "Other",
+            True,
+            ["ROS action /dock ends with mapper", "/mapper/save and service /reset are answered"],
+        ),
+        ("none", "Mapper", False, ["/mapper/save, service /reset and ROS action /dock end with mapper"]),
     ],
 )
-def test_a_service_that_the_successor_answers_does_not_end(gate: Gate, component: str, found: list[str]) -> None:
-    """The name of the old node is gone with it, and its goals are."""
+def test_a_service_that_the_successor_answers_does_not_end(
+    gate: Gate, component: str, keeps_name: bool, found: list[str]
+) -> None:
+    """The name of the old node is gone with it, unless the successor has it, and its goals are."""
     serves = ["service /mapper/save", "service /reset", "ROS action /dock"]
-    state = bare_state("mapper", node="/mapper", serves=serves)
+    state = bare_state("mapper", node="/mapper", serves=serves, keeps_name=keeps_name)
     old, new = (ComponentSpec.of(kind, run="mapper", gate=gate) for kind in ("Mapper", component))
     known = LastKnown(LatestState(state, 0.0), ())
     said = [each.words for each in what_ended("mapper", old, known, planned=True, beside=new)]
@@ -138,3 +147,16 @@ def test_what_the_plan_has_started_itself_was_not_managed_by_another_one() -> No
     known = _as_planned(LastKnown(now, ()), before)
     assert known.latest is not None and (known.latest.state.starting, known.latest.at) == (["/mapper"], 1.0)
     assert _as_planned(LastKnown(now, ()), None) == LastKnown(now, ()), "nothing was known before"
+
+
+def test_both_write_on_a_private_topic_where_they_have_one_name() -> None:
+    undeclared = [UndeclaredTopic(output=True, topic="/talker/own", type="x")]
+    component = ComponentSpec.of("Talker", gate="preload")
+
+    def shared(*, keeps_name: bool) -> list[str]:
+        state = bare_state("talker", node="/talker", undeclared=undeclared, keeps_name=keeps_name)
+        return [each.words for each in two_writers("talker", LatestState(state, 0.0), component, component)]
+
+    assert shared(keeps_name=False) == []
+    (words,) = shared(keeps_name=True)
+    assert words.startswith("which instance writes on /talker/own")

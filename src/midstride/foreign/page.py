@@ -18,7 +18,7 @@ from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 5
+VERSION: Final = 6
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.

@@ -132,7 +132,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     take all of its nodes down; ``starting``: the instances that have just been started, and may be such managers.
     ``looked``: the graph has been asked for these since it started.
 
-    ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
+    ``node``: the full name of its ROS node, None where there is none. ``keeps_name``: it has no API, and a replacement
+    with a gate inside gets this name as well. ``answers``: it answers requests to the node's
     services; of several instances of a role, one does.
     ``simulated_time``: its ROS clock follows ``/clock``, and gains ``clock_speed`` seconds in each second (0: it stands
     still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
@@ -158,6 +159,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     imported: int = 0
     clock_speed: float = 1.0
     node: str | None = None
+    keeps_name: bool = False
     answers: bool = True
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
     keeps_state: bool = False

@@ -83,7 +83,8 @@ def what_ended(
     """What ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
-    two nodes with the preloaded library, the successor goes on with each service that does not have the old one's name.
+    two nodes with the preloaded library, the successor goes on with each service; where it has another name, not with
+    those below the old one.
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
@@ -98,8 +99,8 @@ def what_ended(
             yield verdicts.management_unknown(name, state.starting, planned=planned)
         goes_on = []
         if beside is not None and component.preloads and beside.preloads:
-            services = (each for each in state.serves if each.startswith("service /"))
-            goes_on = [each for each in services if not each.startswith(f"service {state.node}/")]
+            services = (each for each in state.serves if not each.startswith("ROS action "))
+            goes_on = [each for each in services if state.keeps_name or _is_public(each, state.node)]
         if ending := [each for each in state.serves if each not in goes_on]:
             yield verdicts.ends_with(name, ending, planned=planned)
         if goes_on and beside is not None and beside.name != component.name:
@@ -107,6 +108,11 @@ def what_ended(
         called += state.calls
     if called:
         yield verdicts.calls_end_with(name, called, planned=planned)
+
+
+def _is_public(service: str, node: str | None) -> bool:
+    """Whether the name of a service (in words) does not depend on that of its ``node``."""
+    return service.startswith("service /") and not service.startswith(f"service {node}/")
 
 
 def two_writers(
@@ -118,5 +124,6 @@ def two_writers(
     """
     state, handed_over = latest.state, old.preloads and new.preloads
     written = [each.topic for each in state.undeclared if each.output and not (each.handed_over and handed_over)]
-    if shared := [topic for topic in written if not topic.startswith(f"{state.node}/")]:
+    one_name = state.keeps_name and handed_over
+    if shared := [topic for topic in written if one_name or not topic.startswith(f"{state.node}/")]:
         yield verdicts.two_writers(role, shared, together)

@@ -117,6 +117,7 @@ class Ros2Backend(ProcessBackend, Backend):
         self._context = context
         self._opened = time.monotonic()
         self._graph = Graph(self._node, marked=self._foreign_nodes.marked)
+        self._foreign_nodes.tells_processes = self._graph.rmw.participant is not None
         for words in self.warnings:
             self._node.get_logger().warning(words)
 
@@ -178,7 +179,6 @@ class Ros2Backend(ProcessBackend, Backend):
                     launch,
                     launch.foreign,
                     lambda name: graph.has(name) or bool(graph.of_name(name)),
-                    may_share=graph.rmw.participant is not None,
                 )
             is_taken = start_name.passed and not start_name.shared and graph.has(start_name.full)
             if launch.foreign.gate != "relay" and start_name.full:

@@ -96,17 +96,15 @@ class ForeignNodes:
         self._finding: dict[str, asyncio.Task[None]] = {}
         self._nodes_in = nodes_in
         self._addressed = addressed
+        self.tells_processes = False  # whether the graph tells which process an endpoint belongs to
 
-    def start_name(
-        self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool], *, may_share: bool = False
-    ) -> StartName:
+    def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
         """Return what the node of the instance is called. Raises StartFailed.
 
         A replacement of a node with a gate inside has its name, where that has one, too: one of them answers.
-        ``may_share``: the graph tells which process an endpoint belongs to.
         """
         old = self._agents.get(launch.predecessor)
-        if may_share and component.preloads and old is not None and self._can_share(old.node.record):
+        if component.preloads and old is not None and self._can_share(old.node.record):
             shared = self._own_names.shared_name(old.node.record.node, launch, component)
             if shared is not None:
                 return shared
@@ -114,7 +112,7 @@ class ForeignNodes:
 
     def _can_share(self, record: ForeignRecord) -> bool:
         """Whether another node may have the name of this one: its library claims requests."""
-        return bool(record.node) and self._addressed is not None and self._servers(record) is not None
+        return bool(record.node) and self.tells_processes and self._servers(record) is not None
 
     def marked(self) -> dict[bytes, InstanceNode]:
         """By the identity of a publisher of its process, the instances whose gate is inside."""
@@ -403,6 +401,7 @@ class ForeignNodes:
             predecessor=self._services_of_predecessor(record, old) if follows else None,
             managers=self._managers,
         )
+        agent.node.keeps_name = lambda: self._can_share(record)
         self._agents[record.instance] = agent
         await agent.open(self._transport)
 
