@@ -23,6 +23,7 @@ pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 # Plain rclpy: a talker that also broadcasts transforms, of which its component states nothing.
 BROADCASTER = """
+import os
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -31,7 +32,7 @@ from std_msgs.msg import String
 
 rclpy.init()
 node = Node("talker")
-name, number = node.get_name(), 0
+name, number = os.environ["MIDSTRIDE_INSTANCE"], 0
 chatter, moving = node.create_publisher(String, "chatter", 10), node.create_publisher(String, "/tf", 100)
 latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 static = node.create_publisher(String, "/tf_static", latched)
