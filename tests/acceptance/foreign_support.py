@@ -55,7 +55,7 @@ comp.start()
 def programs_of_the_page(folder: Path) -> None:
     """The files that the how-to shows, in ``folder``; a node says its instance instead of its name, which stays."""
     for name, text in re.findall(r"```\w+ file=(\S+)\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
-        said = text.replace("self.get_name()", '__import__("os").environ["MIDSTRIDE_INSTANCE"]')
+        said = text.replace("self.get_name()", "__import__('os').environ['MIDSTRIDE_INSTANCE']")
         (folder / name).write_text(said, encoding="utf-8")
 
 
