@@ -56,6 +56,17 @@ def test_a_plan_says_everything_that_the_command_line_prints(
             assert " ".join(line.split()) in shown
 
 
+@pytest.mark.parametrize("options", [(), ("--compare",)])
+def test_what_changes_require_is_in_the_plan_of_a_file(offline: Page, tmp_path: Path, options: tuple[str, ...]) -> None:
+    requirement = "changes require /estop/released : std_msgs/msg/Bool where data = true"
+    text = (EXAMPLES / "talker" / "talker.stride").read_text()
+    system, file = tmp_path / "talker.stride", tmp_path / "plan.html"
+    system.write_text(f"{text}\n{requirement}\n")
+    assert main(["plan", str(system), "--replace", "talker=NewTalker", "--html", str(file), *options]) == 0
+    offline.goto(file.as_uri())
+    expect(offline.locator("#report .permission")).to_have_text(f"Required when it is carried out: {requirement}.")
+
+
 def test_hostile_names_are_text(offline: Page, tmp_path: Path) -> None:
     specification = json_form("talker")
     for component in specification["components"].values():

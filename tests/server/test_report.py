@@ -128,6 +128,15 @@ def test_a_plan_has_the_views_that_it_leads_from_and_to() -> None:
     assert (topic["name"], topic["publishers"], topic["rate"]) == ("/chatter", ["talker.out"], 10)
 
 
+def test_what_changes_require_is_said_unless_the_plan_says_whether_it_holds() -> None:
+    plan = plan_of()
+    required = {"topic": "/estop/released", "assumption": {"type": "std_msgs/msg/Bool"}}
+    plan["start"] = {**plan["start"], "changes_require": [required]}
+    words = ["changes require /estop/released : std_msgs/msg/Bool"]
+    assert data_of(plan_file({"minimal": plan}, "talker", "replace"))["required"] == words
+    assert data_of(plan_file({"minimal": {**plan, "requires": []}}, "talker", "replace"))["required"] == []
+
+
 def test_a_plan_that_cannot_be_read_is_shown_without_a_graph() -> None:
     data = data_of(plan_file({"minimal": plan_of(steps=[{"action": "unheard of"}])}, "talker", "replace"))
     assert data["before"] is None and data["plans"]["minimal"]["steps"] == [{"action": "unheard of"}]

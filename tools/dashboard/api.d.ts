@@ -1134,6 +1134,8 @@ declare namespace Api {
     before: SystemView | null;
     /** and when all its steps are done */
     after: SystemView | null;
+    /** what changes require, of a plan for which it was not judged */
+    required: string[];
   }
 
   /** What changes require of a topic, and whether it holds now; what is unknown does not hold. */

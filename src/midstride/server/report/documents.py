@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Final
 
 from msgspec import Meta
 
 from midstride import __version__
 from midstride.codec.form import Report, encode
+from midstride.codec.specification_form import decode_specification
 from midstride.errors import MidstrideError
 from midstride.plan.forms.plan_forms import decode_plan
 from midstride.runtime.records.change_report import ChangeReport
@@ -34,6 +35,7 @@ class ReportDocument(Report, frozen=True, kw_only=True):
     plans: Annotated[dict[str, dict[str, Any]] | None, Meta(description="by strategy; `refused`: why there is none")]
     before: Annotated[SystemView | None, Meta(description="the system as modelled when the plan began")]
     after: Annotated[SystemView | None, Meta(description="and when all its steps are done")]
+    required: Annotated[list[str], Meta(description="what changes require, of a plan for which it was not judged")]
 
 
 def change_file(found: ChangeReport, system: str, backend: str = "") -> str:
@@ -47,7 +49,7 @@ def change_file(found: ChangeReport, system: str, backend: str = "") -> str:
 def plan_file(plans: Mapping[str, dict[str, Any]], system: str, title: str) -> str:
     """The file of plans by strategy: documents as POST /plan answers, or with ``refused``."""
     first = next((plan for plan in plans.values() if "refused" not in plan), None)
-    return _file(system, title, _views(first, system, "", time.time()), plans=dict(plans))
+    return _file(system, title, _views(first, system, "", time.time()), plans=dict(plans), required=_required(first))
 
 
 def _file(
@@ -58,6 +60,7 @@ def _file(
     backend: str | None = None,
     change: dict[str, Any] | None = None,
     plans: dict[str, dict[str, Any]] | None = None,
+    required: Sequence[str] = (),
 ) -> str:
     before, after = views
     document = ReportDocument(
@@ -71,8 +74,16 @@ def _file(
         plans=plans,
         before=before,
         after=after,
+        required=list(required),
     )
     return report_file(document, f"{title} - {system}")
+
+
+def _required(plan: Mapping[str, Any] | None) -> list[str]:
+    """What changes of the specification that ``plan`` starts from require, unless the plan says whether it holds."""
+    if plan is None or plan.get("start") is None or "requires" in plan:
+        return []
+    return [str(requirement) for requirement in decode_specification(plan["start"]).requirements]
 
 
 def _views(

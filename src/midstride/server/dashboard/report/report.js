@@ -51,9 +51,10 @@ function report(data) {
     if (timeline && found?.timeline) timeline.append(reportTimeline({ ...found, timeline: found.timeline }, views.before, drawn));
   } else if (timeline) timeline.append(h("p", { class: "muted" }, "The plan was not recorded, so there is no graph."));
   if (timeline) root.append(timeline);
+  const required = data.required.map((words) => h("p", { class: "permission" }, `Required when it is carried out: ${words}.`));
   if (found) root.append(...changeParts(found, plan, width));
-  if (!found && plan) root.append(section("Plan", ...planParts(plan, width)));
-  if (!found && !plan) root.append(section("Strategies", ...comparison(plans, width, null)), ...made.map((each) => section(`Plan: ${each.strategy}`, ...planParts(each, width))));
+  if (!found && plan) root.append(section("Plan", ...required, ...planParts(plan, width)));
+  if (!found && !plan) root.append(section("Strategies", ...required, ...comparison(plans, width, null)), ...made.map((each) => section(`Plan: ${each.strategy}`, ...planParts(each, width))));
   for (const [name, refused] of Object.entries(plans).filter(([, each]) => each.refused)) {
     root.append(section(`${name} is refused`, h("p", { class: "refusal banner", "data-kind": "bad" }, refused.refused)));
   }
