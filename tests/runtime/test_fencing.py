@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import re
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -165,6 +166,27 @@ def test_a_publisher_that_hangs_is_replaced(strategy: str, tmp_path: Path) -> No
         assert (await manager.status()).valid
         await asyncio.sleep(1)
         assert heard.words()[-1] == "new"
+
+    hanging(tmp_path, body)
+
+
+def test_the_plan_says_how_much_longer_one_that_hangs_takes(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
+        request = replace("talker", "New")
+        assert not [each for each in (await manager.plan(request)).remarks if "hangs" in each]
+        await asyncio.sleep(10)
+        plan = await manager.plan(request)
+        [said] = [each for each in plan.remarks if "hangs" in each]
+        longer = DEFAULT_WAIT + STOP_GRACE
+        assert re.fullmatch(
+            rf"talker hangs: a call of its code has not returned for \d+ s; unless it returns, the change takes up to "
+            rf"{longer:g} s longer: it is fenced after {DEFAULT_WAIT:g} s \(`--wait`\), and ended",
+            said,
+        )
+        begun = simulator.clock.steady()
+        outcome = await manager.change(request)
+        assert outcome.outcome == "done", outcome.because
+        assert outcome.seconds > plan.seconds + 1 and simulator.clock.steady() - begun < plan.seconds + longer + 3
 
     hanging(tmp_path, body)
 

@@ -56,7 +56,7 @@ from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.change.stalled_first import with_stalled_first
 from midstride.runtime.handover.arbiter_choice import require_arbiters
-from midstride.runtime.handover.fences import DEFAULT_WAIT
+from midstride.runtime.handover.fences import DEFAULT_WAIT, hanging
 from midstride.runtime.records.change_report import ChangeTimeline
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
@@ -139,6 +139,7 @@ class ChangeSession:
             for old, latest in asked
         ]
         not_known = filter(None, unread)
+        hung = hanging(system.life, map(plan.change.instance, plan.change.leaving))
         others = ending_nodes(plan, self.others.look())
         if not request.with_other_nodes and (refused := would_end_others(others)) is not None:
             raise PlanRefused(refused)
@@ -146,7 +147,7 @@ class ChangeSession:
             *lost_endpoints(plan, system.life.latest_states, self._endpoints()),
             *nodes_that_will_end(plan, others),
         )
-        return replace(plan, remarks=(*remarks, *left, *not_known, *plan.remarks), besides=besides), target
+        return replace(plan, remarks=(*remarks, *hung, *left, *not_known, *plan.remarks), besides=besides), target
 
     async def _said(self, roles: Iterable[str]) -> dict[str, Values]:
         """The parameters of the instances of ``roles``, by instance, as their nodes say them now.

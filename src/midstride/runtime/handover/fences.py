@@ -13,10 +13,11 @@ from typing import Final, Literal
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.component import PortRef
+from midstride.model.configuration import Instance
 from midstride.runtime.handover.state_transfers import keeps_state
-from midstride.runtime.instance_life import FenceEvent, FenceState
+from midstride.runtime.instance_life import FenceEvent, FenceState, LifeTable
 from midstride.runtime.process.component_client import ComponentClient
-from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.process.launcher import Launcher, stop_times
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import FencedInstance
 from midstride.wire.commands import AwaitIdleCommand, FenceCommand
@@ -26,6 +27,27 @@ DEFAULT_WAIT: Final = 5.0
 # How long an old side has at least to show that it is free (s), and how often a silent one is asked again.
 PATIENCE: Final = 0.5
 INTERVAL: Final = 0.1
+
+# A call of user code that has been running for longer than this is named in a plan that has to wait for its end (s).
+LONG: Final = 2.0
+
+
+def hanging(life: LifeTable, leaving: Iterable[Instance]) -> Iterator[str]:
+    """Yield which of the instances that are to go hang now, and how much longer a change may take for each."""
+    for instance in leaving:
+        name = instance.name
+        if instance.component.once or life.is_gone_or_fenced(name):
+            continue
+        state = life.responsive(name)
+        busy = 0.0 if state is None else max((each.busy or 0.0 for each in state.functionalities.values()), default=0.0)
+        if state is not None and busy < LONG:
+            continue
+        why = "does not answer" if state is None else f"hangs: a call of its code has not returned for {busy:.0f} s"
+        longer = DEFAULT_WAIT + stop_times(instance.component).longest
+        yield (
+            f"{name} {why}; unless it returns, the change takes up to {longer:g} s longer: it is fenced after "
+            f"{DEFAULT_WAIT:g} s (`--wait`), and ended"
+        )
 
 
 @dataclass(frozen=True, slots=True)
