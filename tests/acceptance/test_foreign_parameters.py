@@ -1,4 +1,7 @@
-"""Two nodes in plain rclpy: their parameters are set by ROS's own service and by Midstride, and kept or set back."""
+"""Two nodes in plain rclpy: their parameters are set by ROS's own service and by Midstride, and kept or set back.
+
+One of them has the library preloaded, and the other is behind a relay.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from immutables import Map
 
 from midstride import backends
 from midstride.errors import CommandRefused
-from midstride.lang.load import load
+from midstride.lang.load import load, load_text
 from midstride.model.component import ParameterValue
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -72,16 +75,20 @@ component Driver {
   }
 }
 
-node left  : Driver { cmd -> /left }
-node right : Driver { cmd -> /right   parameters { speed = 2.0 } }
+component Relayed like Driver { run "PYTHON node.py" gate relay }
+
+node left  : Driver  { cmd -> /left }
+node right : Relayed { cmd -> /right   parameters { speed = 2.0 } }
 
 timing { watch_after 2 s }
 """
+KEPT = (("gain", "kept", "unknown"), ("speed", "kept", "set"))
 
 
 def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> None:
     (tmp_path / "node.py").write_text(PROGRAM, encoding="utf-8")
-    (tmp_path / "drive.stride").write_text(TEXT.replace("PYTHON", sys.executable), encoding="utf-8")
+    text = TEXT.replace("PYTHON", sys.executable)
+    (tmp_path / "drive.stride").write_text(text, encoding="utf-8")
     (tmp_path / "system").mkdir()
     workspace = Workspace(tmp_path / "system")
     manager = Manager(load(tmp_path / "drive.stride").require(), backends.make("ros2", workspace), workspace, tmp_path)
@@ -121,8 +128,14 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             with pytest.raises(CommandRefused, match=r"left refuses frame = 'odom': .*read-only"):
                 await manager.set_parameters("left", {"frame": "odom"})
 
+            # Behind a relay as well.
+            assert await values("right") == {"speed": 2.0, "gain": 0.1, "frame": "base"}
+            assert await set_by_a_client(bare, "/right", "gain", 0.75) == (True, "")
+            with pytest.raises(CommandRefused, match=r"right refuses frame = 'odom': .*read-only"):
+                await manager.set_parameters("right", {"frame": "odom"})
+
             # One of two nodes refuses, and then one breaks its rate.
-            before = [{"speed": 2.0, "gain": 0.25, "frame": "base"}, {"speed": 2.0, "gain": 0.1, "frame": "base"}]
+            before = [{"speed": 2.0, "gain": 0.25, "frame": "base"}, {"speed": 2.0, "gain": 0.75, "frame": "base"}]
             for speed, because, fate in (
                 (6.0, "right refuses speed = 6.0: it is too fast", "not_set"),
                 (4.0, "right.cmd does not keep the 10 Hz that its mode guarantees", "set_back"),
@@ -136,13 +149,22 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             assert (outcome.outcome, outcome.because) == ("done", None)
 
             # What was set travels, also what a tool has set.
-            outcome = await carried_out(PlanRequest(restart=("left",)))
+            outcome = await carried_out(PlanRequest(restart=("left", "right")))
             assert (outcome.outcome, outcome.because) == ("done", None)
-            assert {(each.parameter, each.fate, each.origin) for each in outcome.parameters} == {
-                ("gain", "kept", "unknown"),
-                ("speed", "kept", "set"),
+            assert {(each.node, each.parameter, each.fate, each.origin) for each in outcome.parameters} == {
+                (role, *fate) for role in ("left", "right") for fate in KEPT
             }
             assert await values("left") == {"speed": 3.0, "gain": 0.25, "frame": "base"}
+            assert await values("right") == {"speed": 3.0, "gain": 0.75, "frame": "base"}
+
+            # `apply` sets in place what is changeable.
+            target = load_text(
+                text.replace("speed = 2.0", "speed = 2.5").replace("speed = 1.0", "speed = 1.5")
+            ).require()
+            outcome = await carried_out(PlanRequest(to=target))
+            assert (outcome.outcome, outcome.because) == ("done", None)
+            assert [(await values(role))["speed"] for role in ("left", "right")] == [1.5, 2.5]
+            assert {*manager.configuration.instances} == {"left_2", "right_2"}
 
     with ended():
         run(scenario())

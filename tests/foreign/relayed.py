@@ -5,6 +5,7 @@ Run as a program, it is the process of a relay; its argument is the file of its 
 
 from __future__ import annotations
 
+import asyncio
 import math
 import sys
 from collections.abc import Awaitable, Callable, Mapping
@@ -21,6 +22,7 @@ from midstride.backends.simulator.virtual_clock import SimulatedTimer
 from midstride.foreign.graph_check import GraphEndpoint
 from midstride.foreign.relay import RelayComponent, RelayPlatform
 from midstride.foreign.relayed_program import RelayOrder
+from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
 from midstride.model.contract import QoS
 from midstride.model.instance_names import full_name
@@ -54,20 +56,47 @@ class Program:
     """How the nodes of a component behave: they publish at ``rate`` (Hz).
 
     ``hung``: the instances that write nothing now; all do so after ``most`` messages. ``type``: of the subscriptions.
-    ``set``: what was set at once of their parameters, in order; ``rejects``: by parameter, why it cannot be.
+    ``set``: what was set at once of their parameters, in order; ``rejects``: by parameter, why it cannot be. ``own``:
+    the parameters that they declare besides those that they are started with; ``values``: by instance, what it has now.
+    ``mute``: the instances that do not answer for their parameters.
     """
 
     rate: float = 50.0
     hung: set[str] = field(default_factory=set)
+    mute: set[str] = field(default_factory=set)
     most: float = math.inf
     type: str = "std_msgs/msg/String"
     set: list[dict[str, Any]] = field(default_factory=list)
     rejects: dict[str, str] = field(default_factory=dict)
+    own: dict[str, Any] = field(default_factory=dict)
+    values: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+@dataclass
+class ProgramParameters:
+    """The parameter services of the node of ``instance``."""
+
+    program: Program
+    instance: str
+
+    async def _answers(self, timeout: float) -> None:
+        if self.instance in self.program.mute:
+            await asyncio.sleep(timeout)
+            raise NoAnswer(f"{self.instance} has not answered within {timeout:g} s")
+
+    async def parameters(self, timeout: float) -> dict[str, Any]:
+        await self._answers(timeout)
+        return dict(self.program.values[self.instance])
 
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
-        if refused := [self.rejects[name] for name in values if name in self.rejects]:
+        await self._answers(timeout)
+        program, own = self.program, self.program.values[self.instance]
+        if refused := [program.rejects[name] for name in values if name in program.rejects]:
             return refused[0]
-        self.set.append(dict(values))
+        if undeclared := [name for name in values if name not in own]:
+            return f"parameter {undeclared[0]} is not declared"
+        own |= values
+        program.set.append(dict(values))
         return None
 
 
@@ -111,9 +140,10 @@ class SimulatedRelay(RelayComponent):
         lab, program = SimulatedRelays.current, SimulatedRelays.current.programs[order.declaration.name]
         self.instance = find().instance or ""
         running: Any = SimpleNamespace(status=lambda: None, watch=partial(lab.exits.__setitem__, self.instance))
-        graph = partial(self._endpoints, program)
+        graph, parameters = partial(self._endpoints, program), ProgramParameters(program, self.instance)
+        program.values[self.instance] = {**program.own, **order.stated, **order.taken_over}
         platform = RelayPlatform(
-            joined, lambda _: Text, lambda _: Read, lambda *_: graph(), parameters=lambda *_: program
+            joined, lambda _: Text, lambda _: Read, lambda *_: graph(), parameters=lambda *_: parameters
         )
         super().__init__(order, running, platform)
         heard = lab.heard.setdefault(self.instance, [])

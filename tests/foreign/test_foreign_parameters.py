@@ -92,7 +92,7 @@ def test_a_node_that_does_not_answer_is_waited_for_briefly_and_nothing_is_set(tm
         with pytest.raises(CommandRefused, match=r"its node /driver has not said its parameters within 1 s; nothing"):
             await manager.set_parameters("driver", {"speed": 3.0})
         (report,) = await manager.parameters("driver")
-        assert report.unread and "the services of its node /driver do not answer" in str(report.unread)
+        assert report.unread and "its parameter services do not answer" in str(report.unread)
         assert [each.name for each in report.parameters] == ["gain", "own", "speed"]
         assert simulator.time.steady() - begun < 5.0
         with pytest.raises(PlanRefused, match="did you mean `driver`"):
@@ -275,9 +275,6 @@ def test_apply_sets_a_changeable_parameter_and_the_file_wins(gate: str, tmp_path
     managed(tmp_path, text(gate), body)
 
 
-def test_behind_a_relay_no_parameter_is_changeable() -> None:
-    specification = load_text(text("relay").replace("mode slow {\n      parameters { gain = 5 }\n    }\n", ""))
-    assert [each.message for each in specification.diagnostics if each.severity == "error"] == [
-        "parameter speed of Driver cannot be set in place: Driver runs behind a relay",
-    ]
-    assert errors(check(load_text(text("preload")).require())) == []
+def test_with_every_gate_a_parameter_may_be_changeable() -> None:
+    for gate in ("preload", "relay"):
+        assert errors(check(load_text(text(gate)).require())) == []

@@ -148,17 +148,19 @@ def test_the_local_reflex_sets_them_and_falls_further_where_the_node_refuses(tmp
     managed(tmp_path, TEXT, made, body)
 
 
-def test_mode_parameters_need_a_platform_with_parameter_services(tmp_path: Path) -> None:
-    (tmp_path / "drive.stride").write_text(TEXT, encoding="utf-8")
+def test_parameters_that_are_set_need_a_platform_with_services_for_that(tmp_path: Path) -> None:
+    listener = "component Tuned like Listener { parameters { changeable gain = 1 } }\n\nnode lidar"
+    (tmp_path / "drive.stride").write_text(TEXT.replace("node lidar", listener), encoding="utf-8")
     components = load(tmp_path / "drive.stride").require().components
     nothing: Any = lambda *_: str  # noqa: E731
     platform, program = RelayPlatform(nothing, nothing, nothing, nothing), nothing
-    for name in ("Lidar", "Driver"):
+    faults = {"Driver": "Driver has modes that set parameters", "Tuned": "Tuned has parameters that are `changeable`"}
+    for name in ("Lidar", *faults):
         component = components[name]
         topics = {port: f"/{port}" for port in component.ports()}
         order = RelayOrder(command=[], node="/n", declaration=NamedComponentForm.of(component), topics=topics)
         if name == "Lidar":
             RelayComponent(order, program, platform)
             continue
-        with pytest.raises(NodeError, match="Driver has modes that set parameters"):
+        with pytest.raises(NodeError, match=f"{faults[name]}, and a node of ROS 1 has no service for that"):
             RelayComponent(order, program, platform)

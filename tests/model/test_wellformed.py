@@ -231,12 +231,6 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
     ),
     (
         "E027",
-        [(RUN, "t"), ("/components/Talker/gate", "relay")],
-        "/components/Talker/parameters/volume",
-        "parameter volume of Talker cannot be set in place: Talker runs behind a relay",
-    ),
-    (
-        "E027",
         [("/components/Talker/topics", {"out": "chat"})],
         "/components/Talker/topics/out",
         "port out of Talker states what the program calls its topic, but Talker has no gate",

@@ -127,22 +127,9 @@ def test_only_what_a_change_concerns_is_listed() -> None:
     ]
 
 
-def test_a_program_behind_a_relay_starts_without_what_was_set_on_its_predecessor() -> None:
-    """Others that do not use Midstride's API are started with it."""
-    lost = "lost: New runs behind a relay, and starts with"
-    gates: tuple[tuple[Gate, str], ...] = (
-        ("relay", "lost"),
-        ("preload", "kept"),
-        ("none", "kept"),
-        ("lifecycle", "kept"),
-    )
-    for gate, fate in gates:
+def test_a_program_without_the_api_starts_with_what_was_set_on_its_predecessor() -> None:
+    """Also with what it does not declare in the specification: it may declare that itself."""
+    gates: tuple[Gate, ...] = ("relay", "preload", "none", "lifecycle", "lifecycle preload")
+    for gate in gates:
         target = system("New", replace(component("New", gain=1.0), gate=gate))
-        found = {each.parameter: each for each in decide(RUNNING, target, "talker", {"gain": 1.7, "own": 3})}
-        assert {name: each.fate for name, each in found.items()} == {"gain": fate, "own": fate}
-        if gate == "relay":
-            assert found["gain"].words == f"talker: gain = 1.7, set at run time: {lost} 1.0"
-            assert found["own"].words == f"talker: own = 3, set at run time: {lost} its own value"
-    # Where the file has that value, nothing is lost.
-    target = system("New", replace(component("New", gain=1.7), gate="relay"))
-    assert fates(RUNNING, target, gain=1.7) == {}
+        assert fates(RUNNING, target, gain=1.7, own=3) == {"gain": "kept", "own": "kept"}

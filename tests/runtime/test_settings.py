@@ -285,7 +285,7 @@ def test_a_node_that_does_not_say_its_parameters_or_does_not_run_is_refused(tmp_
         outcome = await manager.change(setting(camera={"every": 2}, driver={"speed": 3.0}))
         assert (outcome.outcome, outcome.because) == (
             "refused",
-            "driver does not say its parameters: the services of /driver do not answer",
+            "driver does not say its parameters: its parameter services do not answer",
         )
         simulator.die("driver")
         await asyncio.sleep(1)

@@ -1188,13 +1188,13 @@ declare namespace Api {
     seconds?: number;
   }
 
-  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `lost`: the new program runs behind a relay, and starts without it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. `refused`: the new node, which does not use Midstride's API, refused it. Of a change that sets parameters: `set`: the node has the value. `set_back`: the change was rolled back, and the node had the value for `seconds`; `not_set_back`: it has it still. `not_set`: it has not accepted it. `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known to have been set: a ROS tool has set it, or the node itself. */
+  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. `refused`: the new node, which does not use Midstride's API, refused it. Of a change that sets parameters: `set`: the node has the value. `set_back`: the change was rolled back, and the node had the value for `seconds`; `not_set_back`: it has it still. `not_set`: it has not accepted it. `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known to have been set: a ROS tool has set it, or the node itself. */
   interface RuntimeValue {
     node: string;
     parameter: string;
     /** the value of a parameter; a list is of one kind */
     value: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
-    fate: "file_wins" | "kept" | "late" | "left_behind" | "lost" | "not_kept" | "not_set" | "not_set_back" | "refused" | "set" | "set_back";
+    fate: "file_wins" | "kept" | "late" | "left_behind" | "not_kept" | "not_set" | "not_set_back" | "refused" | "set" | "set_back";
     origin: "set" | "unknown";
     /** at most so long */
     seconds?: number;

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from midstride.errors import CommandRefused
 from midstride.foreign.mode_parameters import SET_TIMEOUT, NotAnswered, on_entry, set_parameters
-from midstride.foreign.node import ForeignNode
-from midstride.foreign.services import NoAnswer, NodeServices
+from midstride.foreign.services import NoAnswer, ParameterAccess
+from midstride.model.component import ComponentSpec
 from midstride.model.diagnostics import suggestion
 from midstride.wire import commands, replies
 
@@ -20,10 +20,44 @@ TAKE_BACK_TIMEOUT: Final = 0.5
 _OF_ROS: Final = ("qos_overrides.", "start_type_description_service")
 
 
+class ParameterRecord(Protocol):
+    """What is known of the parameters of a node since its start; :class:`midstride.foreign.record.ForeignRecord`."""
+
+    @property
+    def instance(self) -> str: ...
+    @property
+    def node(self) -> str: ...
+    @property
+    def modes(self) -> Mapping[str, str]: ...
+    @property
+    def stated(self) -> dict[str, Any]: ...
+    @property
+    def taken_over(self) -> dict[str, Any]: ...
+    @property
+    def started_with(self) -> dict[str, Any] | None: ...
+    @property
+    def requested(self) -> list[str]: ...
+
+
+class ParameterHolder(Protocol):
+    """A node whose parameters are read and set. ``declared``: of those set while it ran, what they were before."""
+
+    component: ComponentSpec
+    parameters: dict[str, Any]
+    declared: dict[str, Any]
+    unread_parameters: bool
+
+    @property
+    def record(self) -> ParameterRecord: ...
+
+    def change_record(self, **changes: Any) -> None:
+        """Change these fields of the record."""
+
+
 class ForeignParameters:
     """The ROS parameters of ``node``, which are in its state as of the last :meth:`read`."""
 
-    def __init__(self, node: ForeignNode, services: NodeServices) -> None:
+    def __init__(self, node: ParameterHolder, services: ParameterAccess) -> None:
         self._node = node
         self._services = services
 

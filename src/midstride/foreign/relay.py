@@ -29,12 +29,13 @@ from midstride.errors import MidstrideError, NodeError
 from midstride.foreign.gated_reflex import inputs_of
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.lifecycle_transitions import ACTIVE
-from midstride.foreign.mode_parameters import on_entry, set_parameters
+from midstride.foreign.relay_agent import RelayAgent
 from midstride.foreign.relay_endpoints import ProgramEndpoints
-from midstride.foreign.relayed_lifecycle import RelayAgent, RelayedLifecycle, followed
+from midstride.foreign.relayed_lifecycle import RelayedLifecycle, followed
+from midstride.foreign.relayed_parameters import RelayedNode, RelayedParameters, RelayedRecord
 from midstride.foreign.relayed_program import KILLED, RelayedProgram, RelayOrder
-from midstride.foreign.services import NodeServices, ParameterSetter
-from midstride.model.component import FunctionalitySpec, Mode
+from midstride.foreign.services import NodeServices, ParameterAccess
+from midstride.model.component import ROS_PARAMETERS, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, QoS
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.author.declared_contracts import Guarantee
@@ -45,6 +46,8 @@ from midstride.node.author.ports import Input, InputLink, Output
 from midstride.node.component_host import Host
 from midstride.node.loaded_program import ProgramFiles
 from midstride.node.process_context import ProcessContext, find
+from midstride.wire import replies
+from midstride.wire.commands import SetParametersCommand
 
 # For how long a reliable output with a rate may wait in a relay without loss (s), and of how many messages at most.
 QUEUE: Final = 2.0
@@ -60,7 +63,8 @@ class RelayPlatform:
     BackendError where the graph cannot be read in time.
     ``decoder``: reads such messages of a type, of which only some are, and only where the contract constrains fields.
     ``advertises_late``: a program may create a publisher only when it has something to publish, so none is waited for.
-    ``parameters``: sets those of the program's node; called on the data thread. None where there is no such service.
+    ``parameters``: reads and sets those of the program's node; called on the data thread. None where there are no such
+    services.
     ``nodes``: the full names of the nodes in an enclave; None where the platform has no enclaves.
     ``served``: what the graph shows of a node that others may rely on, and ``services``: what it can be asked, and
     whether its lifecycle state can be changed; called on the data thread. None where nodes have no lifecycle.
@@ -71,7 +75,7 @@ class RelayPlatform:
     decoder: Callable[[str], Callable[[Any], Any]]
     graph: Callable[[Host, RelayOrder], Sequence[GraphEndpoint] | None]
     advertises_late: bool = False
-    parameters: Callable[[Host, RelayOrder], ParameterSetter] | None = None
+    parameters: Callable[[Host, RelayOrder], ParameterAccess] | None = None
     nodes: Callable[[Host, str], Sequence[str]] | None = None
     served: Callable[[Host, str], Served] | None = None
     services: Callable[[Host, str, bool], NodeServices] | None = None
@@ -155,7 +159,7 @@ class RelayComponent:
         self._type_of = type_of = platform.type_of
         self._fault: str | None = None  # why the relay must end
         self.host: Host | None = None
-        self._parameters: ParameterSetter | None = None
+        self._agent: RelayAgent | None = None
         self._lifecycle: RelayedLifecycle | None = None
         self.parts = DeclaredParts()
         self.relays: dict[str, Relay] = {}
@@ -170,12 +174,13 @@ class RelayComponent:
         for functionality in component:
             self.parts.functionalities[functionality.name] = self._functionality(functionality)
         self.parts.callbacks.setup = self._set_up
-        if any(functionality.parameters() for functionality in component):
-            if platform.parameters is None:
-                raise NodeError(
-                    f"{component.name} has modes that set parameters, and a node of ROS 1 has no service for that"
-                )
-            self.parts.callbacks.before_modes = self._before_modes
+        of_modes = any(functionality.parameters() for functionality in component)
+        if platform.parameters is not None:
+            self.parts.callbacks.set_parameters = self._set_parameters
+            self.parts.callbacks.before_modes = self._before_modes if of_modes else None
+        elif of_modes or any(parameter.changeable for parameter in component.parameters.values()):
+            what = "modes that set parameters" if of_modes else "parameters that are `changeable`"
+            raise NodeError(f"{component.name} has {what}, and a node of ROS 1 has no service for that")
 
     def _relay(self, name: str) -> Relay:
         endpoint, owner = self.component.output_endpoint(name), self.component.owner(name)
@@ -230,8 +235,10 @@ class RelayComponent:
         for relay in self.relays.values():
             relay.subscribe(self.host)
         self._follow(self.host)
-        if self._platform.parameters is not None and self.parts.callbacks.before_modes is not None:
-            self._parameters = self._platform.parameters(self.host, self.order)
+        if self._platform.parameters is not None:
+            assert self._agent is not None
+            services = self._platform.parameters(self.host, self.order)
+            self._agent.parameters = self._parameters_of(self.host, services)
         self._program_endpoints().wait()
 
     def _follow(self, host: Host) -> None:
@@ -271,11 +278,26 @@ class RelayComponent:
 
         return RelayedLifecycle(lambda: self.order.node, lambda: served(host, self.order.node), connect)
 
+    def _parameters_of(self, host: Host, services: ParameterAccess) -> RelayedParameters:
+        order, component = self.order, self.component
+        modes = {functionality.name: functionality.modes[-1].name for functionality in component}
+        record = RelayedRecord(host.instance, order.node, order.stated, order.taken_over, modes)
+        return RelayedParameters(RelayedNode(component, record), services)
+
     async def _before_modes(self, modes: Mapping[str, str]) -> None:
         """Set what these modes, by functionality, state. Raises CommandRefused with the node's reason."""
-        assert self.host is not None and self._parameters is not None
-        values = on_entry(self.component, modes, self.order.stated)
-        await set_parameters(self._parameters, self.host.instance, self.component, values)
+        assert self._agent is not None and self._agent.parameters is not None
+        await self._agent.parameters.enter_modes(modes)
+
+    async def _set_parameters(self, command: SetParametersCommand) -> replies.PreviousParameters:
+        """Set parameters of the program's node, whose time is that of the relay. Raises CommandRefused."""
+        host, agent = self.host, self._agent
+        assert host is not None and agent is not None and agent.parameters is not None
+        modes = {name: each.mode for name, each in agent.state().functionalities.items()}
+        before = await agent.parameters.set(command, modes)
+        if own := {name: value for name, value in command.parameters.items() if name in ROS_PARAMETERS}:
+            await host.on_data(lambda: host.parameters.set(own))
+        return before
 
     def _program_endpoints(self) -> ProgramEndpoints:
         host, platform = self.host, self._platform
@@ -299,8 +321,16 @@ class RelayComponent:
         self.host = host = self._platform.host(context)
         files = ProgramFiles({}, context.started)
         self._lifecycle = lifecycle = self._lifecycle_of(host)
-        agent = RelayAgent(
-            self.parts, self.component, host, context.token, os.getpid(), None, files, context.diagnostics, lifecycle
+        self._agent = agent = RelayAgent(
+            self.parts,
+            self.component,
+            host,
+            context.token,
+            os.getpid(),
+            None,
+            files,
+            context.diagnostics,
+            lifecycle,
         )
         self.program.watch(agent.stop)
 

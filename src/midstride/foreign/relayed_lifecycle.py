@@ -5,13 +5,10 @@ The relay looks, since it has the clients for it: a manager looks at no node beh
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
-
-from msgspec import structs
 
 from midstride.errors import CommandRefused, NodeError
 from midstride.foreign.graph_check import Served
@@ -19,11 +16,6 @@ from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, STATE_TIMEOUT, NodeLifecycle, taken_down
 from midstride.foreign.services import NoAnswer, NodeServices
 from midstride.model.component import ComponentSpec
-from midstride.node.control.component_agent import Agent
-from midstride.wire import commands
-from midstride.wire.commands import Command
-from midstride.wire.frames import Reply, Request
-from midstride.wire.state import ComponentState
 
 # How often the graph and the node are asked (s).
 LOOK: Final = 1.0
@@ -88,38 +80,3 @@ async def followed(
     except CommandRefused as error:
         raise NodeError(str(error)) from None
     return state
-
-
-@dataclass
-class RelayAgent(Agent):
-    """The agent of a relay, which says as well what is known of the ``lifecycle`` of its program's node."""
-
-    lifecycle: RelayedLifecycle | None = None
-
-    async def main(self) -> None:
-        """Run from set-up to the end."""
-        watch = None if self.lifecycle is None else self._in_background(self._watch(self.lifecycle), "its watch has")
-        try:
-            await super().main()
-        finally:
-            if watch is not None:
-                watch.cancel()
-
-    async def _watch(self, lifecycle: RelayedLifecycle) -> None:
-        await self._ready.wait()
-        while True:
-            if await lifecycle.look():
-                self.report_state()
-            await asyncio.sleep(LOOK)
-
-    def state(self) -> ComponentState:
-        """Read without waiting for the data thread."""
-        state, lifecycle = super().state(), self.lifecycle
-        if lifecycle is None:
-            return state
-        return structs.replace(state, managed=[*lifecycle.managed], differences=[*lifecycle.faults])
-
-    async def _carry_out(self, request: Request, command: Command[object], token: str) -> Reply:
-        if self.lifecycle is not None and self.lifecycle.managed and isinstance(command, commands.ObserveCommand):
-            await self.lifecycle.look()  # the manager may have ended
-        return await super()._carry_out(request, command, token)

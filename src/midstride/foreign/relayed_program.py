@@ -36,7 +36,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
     ``topics``: by port, the full name of the topic that the program uses, which for an output is private.
     ``real``: by output that is attached, the topic on which the relay publishes. ``environment``: the variables that
     are others for the program than for the relay; None: it has none. ``stated``: the parameters that the specification
-    has for this node.
+    has for this node; ``taken_over``: those that were set while its predecessor ran.
     """
 
     command: list[str]
@@ -46,6 +46,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
     environment: dict[str, str | None] = {}
     real: dict[str, str] = {}
     stated: dict[str, Any] = {}
+    taken_over: dict[str, Any] = {}
     enclave: str = ""
     unnamed: bool = False
     role: str = ""

@@ -19,7 +19,14 @@ class ParameterSetter(Protocol):
         """Set all of these parameters or none, in ``timeout`` (s); None, or why the node refuses. Raises NoAnswer."""
 
 
-class NodeServices(ParameterSetter, Protocol):
+class ParameterAccess(ParameterSetter, Protocol):
+    """Reads and sets the parameters of a node."""
+
+    async def parameters(self, timeout: float) -> dict[str, Any]:
+        """The values of all parameters that have one, said in ``timeout`` (s). Raises NoAnswer."""
+
+
+class NodeServices(ParameterAccess, Protocol):
     """The services that a node of ROS 2 has without code of its author. Times are in s; each raises NoAnswer."""
 
     def close(self) -> None:
@@ -30,6 +37,3 @@ class NodeServices(ParameterSetter, Protocol):
 
     async def transition(self, name: str, state: str, timeout: float) -> bool:
         """Have a lifecycle node in ``state`` make a transition, such as `configure`; whether it has succeeded."""
-
-    async def parameters(self, timeout: float) -> dict[str, Any]:
-        """The values of all parameters that have one."""

@@ -375,11 +375,6 @@ class ComponentSpec:
         """Whether its ROS 2 node is a lifecycle node, which is active in all modes but the last."""
         return self.gate in ("lifecycle", "lifecycle preload")
 
-    @property
-    def takes_values_over(self) -> bool:
-        """Return whether a node is started with the values that were set on its predecessor while that ran."""
-        return self.gate != "relay"
-
     def topic_of(self, port: str) -> str:
         """The name that a program without Midstride's API has for the topic of ``port``."""
         return self.topics.get(port, port)

@@ -68,10 +68,6 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
     for port in sorted(component.conditions):
         message = f"input {port} of {name} cannot be a condition: {name} does not use Midstride's API"
         yield Problem(_CODE, (*path, "inputs", port, "condition"), message, "omit `condition`")
-    for parameter, declared in sorted(component.parameters.items()):
-        if declared.changeable and component.gate == "relay":
-            message = f"parameter {parameter} of {name} cannot be set in place: {name} runs behind a relay"
-            yield Problem(_CODE, (*path, "parameters", parameter), message, "omit `changeable`")
 
 
 def _named(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:

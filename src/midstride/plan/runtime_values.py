@@ -32,7 +32,6 @@ Fate: TypeAlias = Literal[
     "left_behind",
     "not_kept",
     "late",
-    "lost",
     "refused",
     "set",
     "set_back",
@@ -45,8 +44,8 @@ Origin: TypeAlias = Literal["set", "unknown"]
 class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_unknown_fields=False):
     """A parameter value that was set while the node ran, and what becomes of it in a change.
 
-    `kept`: the node keeps it. `lost`: the new program runs behind a relay, and starts without it. `file_wins`: the
-    specification changed the value as well. `left_behind`: the new component does not declare the parameter.
+    `kept`: the node keeps it. `file_wins`: the specification changed the value as well. `left_behind`: the new
+    component does not declare the parameter.
     `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had
     taken over, and the new one refused it. `refused`: the new node, which does not use Midstride's API, refused it.
 
@@ -102,8 +101,6 @@ def _decisions(
                 yield name, "not_kept", "not kept, as requested"
             elif name in was:
                 yield name, "left_behind", _left_behind(will.name)
-            elif not will.takes_values_over:
-                yield name, "lost", _lost(will.name, "its own value")
             elif name in ROS_PARAMETERS:
                 yield name, "kept", "kept"
             else:
@@ -114,8 +111,6 @@ def _decisions(
             yield name, "not_kept", f"not kept, as requested; it becomes {declares[name]!r}"
         elif _file_changed(before, after, role, name):
             yield name, "file_wins", f"the file wins and changes it to {declares[name]!r}"
-        elif not will.takes_values_over:
-            yield name, "lost", _lost(will.name, repr(declares[name]))
         elif not value_fits(value, default := _default(will, name, declares[name])):
             raise PlanRefused(
                 f"{role} has {name} = {value!r}, set at run time, and {will.name} takes {value_kind(default)}: set "
@@ -173,10 +168,6 @@ def left_behind(role: str, name: str, value: ParameterValue, component: str, ori
 
 def _left_behind(component: str) -> str:
     return f"not declared by {component}, left behind"
-
-
-def _lost(component: str, instead: str) -> str:
-    return f"lost: {component} runs behind a relay, and starts with {instead}"
 
 
 def setting(

@@ -414,5 +414,5 @@ class Manager:
 def _parameters_report(state: ComponentState) -> ParametersReport:
     unread: str | UnsetType = UNSET
     if state.unread_parameters:
-        unread = f"{state.instance} does not say its parameters: the services of its node {state.node} do not answer"
+        unread = f"{state.instance} does not say its parameters: its parameter services do not answer"
     return ParametersReport(state.instance, parameters(state), unread)

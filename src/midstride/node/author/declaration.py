@@ -17,6 +17,8 @@ from midstride.node.author.declared_parameters import Parameter
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import DeclaredMode
 from midstride.node.author.ports import Input, Output
+from midstride.wire import replies
+from midstride.wire.commands import SetParametersCommand
 
 
 @dataclass(slots=True)
@@ -32,6 +34,8 @@ class Callbacks:
     import_changes: Callable[[bytes], None] | None = None
     # What must be done before functionalities enter modes (by name). On the control thread; raises CommandRefused.
     before_modes: Callable[[Mapping[str, str]], Awaitable[None]] | None = None
+    # Sets parameters where they are not the component's own. On the control thread; raises CommandRefused.
+    set_parameters: Callable[[SetParametersCommand], Awaitable[replies.PreviousParameters]] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -370,6 +370,8 @@ class CommandHandlers:
     # -- parameters and state ----------------------------------------------------------------------
 
     async def _set_parameters(self, command: commands.SetParametersCommand) -> replies.PreviousParameters:
+        if self.parts.callbacks.set_parameters is not None:
+            return await self.parts.callbacks.set_parameters(command)
         declared = self._parameters()
         for name in command.parameters:
             if name.startswith("midstride."):

@@ -161,9 +161,7 @@ class ChangeSession:
             except (BackendError, ManagerError) as error:
                 raise PlanRefused(str(error)) from None
             if state.unread_parameters:
-                raise PlanRefused(
-                    f"{state.instance} does not say its parameters: the services of {state.node} do not answer"
-                )
+                raise PlanRefused(f"{state.instance} does not say its parameters: its parameter services do not answer")
             found[state.instance] = {name: from_json(value) for name, value in state.parameters.items()}
         return found
 

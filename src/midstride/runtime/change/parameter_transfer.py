@@ -26,14 +26,10 @@ from midstride.wire.state import ComponentState
 
 def unread_parameters(instance: Instance, state: ComponentState | None) -> str | None:
     """That it is not known what was set on ``instance`` while it ran; None where that is known, or does not matter."""
-    if instance.component.gate == "relay":
-        when, why = "while it ran", "it is behind a relay"
-    elif state is not None and state.unread_parameters and not state.parameters:
-        when, why = "while it ran", "its parameter services do not answer"
-    elif state is not None and state.unread_parameters:
-        when, why = "since it last said its parameters", "its parameter services do not answer"
-    else:
+    if state is None or not state.unread_parameters:
         return None
+    when = "since it last said its parameters" if state.parameters else "while it ran"
+    why = "its parameter services do not answer"
     return f"whether parameters of {instance.name} were set {when} is not known, since {why}; what was set is lost"
 
 
@@ -85,7 +81,7 @@ class ParameterTransfer:
     async def ask(self, instance: Instance) -> None:
         """Have the predecessor of ``instance`` say its values, if it does not report them at once."""
         old = self._predecessors.get(instance.name)
-        if old is not None and not self.change.component_of(old).has_agent:
+        if old is not None and self.change.component_of(old).gate is not None:
             await self._observe(old)
 
     def start_values(self, instance: Instance) -> dict[str, Any]:

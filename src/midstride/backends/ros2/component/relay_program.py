@@ -35,7 +35,7 @@ PLATFORM = RelayPlatform(
     type_of=lambda name: serialized(message_class(name)),
     decoder=lambda name: partial(deserialize_message, message_type=message_class(name)),
     graph=lambda host, order: Graph(host.ros_node).of_process(order.node) or None,
-    parameters=lambda host, order: services(host, order.node, "set_parameters_atomically"),
+    parameters=lambda host, order: services(host, order.node, *PARAMETERS, "set_parameters_atomically"),
     nodes=lambda host, enclave: Graph(host.ros_node).of_enclave(enclave),
     served=lambda host, node: Graph(host.ros_node).served_by(node),
     # What has a client of `change_state` is taken for a lifecycle manager.

@@ -42,7 +42,7 @@ from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.page import GATES_FOLDER, Page
 from midstride.foreign.relayed_program import differing
-from midstride.model.component import KILL_AT_ONCE, ComponentSpec, StopTimes
+from midstride.model.component import KILL_AT_ONCE, ROS_PARAMETERS, ComponentSpec, StopTimes
 from midstride.model.contract import Predicate
 from midstride.model.instance_names import full_name
 from midstride.runtime.backend_protocol import (
@@ -230,7 +230,8 @@ class Ros2Backend(ProcessBackend, Backend):
         program: Mapping[str, str],
     ) -> Handle:
         """``program``: the environment of the program, whose node is started with ``name``."""
-        simulated = {name: value for name, value in launch.parameters.items() if name == "use_sim_time"}
+        values = {**launch.parameters, **launch.set_parameters}
+        simulated = {name: value for name, value in values.items() if name in ROS_PARAMETERS}
         own = replace(launch, parameters=simulated, set_parameters={})  # the others are the program's
         environment = launching.environment(own, self._control, sys.executable, self.settings, os.environ)
         environment[ENV_START] = program[ENV_START]  # what either of them starts belongs to the instance

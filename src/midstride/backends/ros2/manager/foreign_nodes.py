@@ -191,6 +191,7 @@ class ForeignNodes:
             environment=dict(environment),
             real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
             stated=json_values(launch.parameters),
+            taken_over=json_values(launch.set_parameters),
             enclave=self._enclave(launch, component),
             unnamed=not name.passed,
             role=launch.role,
