@@ -5,18 +5,24 @@ MIDSTRIDE_REPLACEMENTS says how many replacements the long test makes, where 200
 
 from __future__ import annotations
 
+import asyncio
 import os
+import sys
 from collections.abc import Sequence
 from itertools import cycle, islice
 from pathlib import Path
 
 import pytest
 
+from midstride import backends
 from midstride.lang.load import load
-from tests.acceptance.foreign_support import robot
-from tests.acceptance.serving import called, written
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
+from tests.acceptance.foreign_support import declared_talker, robot
+from tests.acceptance.serving import Calls, called, calling, written
 from tests.acceptance.support import ended
-from tests.backends.ros2_support import run
+from tests.acceptance.test_manager_killed import calls_of_a_swap, kill_the_manager, manage
+from tests.backends.ros2_support import run, until
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
@@ -52,3 +58,74 @@ def test_every_request_is_handled_once_across_replacements(tmp_path: Path) -> No
 @pytest.mark.parametrize("kinds", [("Other", "Plain"), ("Id", "Info")])
 def test_every_request_is_handled_once_across_many_replacements(tmp_path: Path, kinds: tuple[str, str]) -> None:
     replaced(tmp_path, list(islice(cycle(kinds), REPLACEMENTS)))
+
+
+def written_for_a_manager_that_dies(folder: Path) -> Path:
+    """The system of :mod:`tests.acceptance.managing`: a node `source`, and two components that run the server."""
+    written(folder)
+    text = "system serving\ntopic /swap : std_msgs/msg/String @ 50 Hz\n"
+    for name in ("Source", "OtherSource"):
+        text += declared_talker(name, f"{sys.executable} {folder / 'server.py'}", "preload")
+    path = folder / "killed.stride"
+    path.write_text(f"{text}node source : Source {{ out -> /swap }}\n", encoding="utf-8")
+    return path
+
+
+def killed_at(folder: Path, points: Sequence[tuple[str, str, str]] | None) -> None:
+    """Kill the manager at each of ``points`` of a replacement under 20 clients; None: at every one.
+
+    One of the two then answers without a manager, and the next manager finds which.
+    """
+    system = folder / "system"
+
+    async def main() -> None:
+        system.mkdir()
+        specification = load(written_for_a_manager_that_dies(folder)).require()
+        manager = Manager(specification, backends.make("ros2", Workspace(system)), Workspace(system), folder)
+        await manager.up()
+        await manager.close()
+        chosen = points
+        if chosen is None:
+            found = await asyncio.to_thread(lambda: calls_of_a_swap(system) & calls_of_a_swap(system))
+            chosen = [
+                (op, str(number + 1), when)
+                for op, count in found.items()
+                if op != "write"
+                for number in range(count)
+                for when in ("before", "after")
+            ]
+            assert "answer" in found and "cut_in" in found
+        async with calling(folder, until) as calls:
+            for point in chosen:
+                await asyncio.to_thread(kill_the_manager, system, *point)
+                await answered_by_one(calls, point)
+        calls.are_handled_once()
+        down = await asyncio.to_thread(manage, system, "down")
+        assert down.returncode == 0, down.stdout + down.stderr
+
+    with ended():
+        run(main(), 3600)
+
+
+async def answered_by_one(calls: Calls, point: tuple[str, str, str]) -> None:
+    """Every client is answered twice more, without a manager."""
+    counts = dict.fromkeys(range(20), 0)
+    seen = len(calls.answered)
+    for _ in range(600):
+        for each in calls.answered[seen:]:
+            counts[int(each.name.split("_")[0])] += 1
+            seen += 1
+        if min(counts.values()) >= 2:
+            return
+        await asyncio.sleep(0.1)
+    raise AssertionError(f"killed at {point}: {counts}")
+
+
+def test_one_answers_when_the_manager_is_killed_at_the_change_over(tmp_path: Path) -> None:
+    killed_at(tmp_path, [("answer", "1", "before")])
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_one_answers_wherever_the_manager_is_killed(tmp_path: Path) -> None:
+    killed_at(tmp_path, None)
