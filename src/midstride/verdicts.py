@@ -254,6 +254,16 @@ def answered_if_offered(instance: str, served: Sequence[str], *, planned: bool) 
     return Assessment(instance, "not_measurable", words)
 
 
+def answered_by_both(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
+    """Of two nodes of a role that run at the same time, both answer, as nothing decides between them."""
+    verb, may = ("", "may be") if planned else ("ed", "may have been")
+    words = (
+        f"requests of others: {instance} and its replacement answer{verb} {listed(served)} while both run, where both "
+        f"have it, so that a request {may} handled twice"
+    )
+    return Assessment(instance, "not_measurable", words)
+
+
 def goals_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> Assessment:
     """The goals that a component with Midstride's API has accepted do not move to its successor."""
     verb = "ended" if not planned else "end"

@@ -54,6 +54,43 @@ def test_every_request_is_handled_once_across_replacements(tmp_path: Path) -> No
     replaced(tmp_path, ["Id", "Info", "Plain"])
 
 
+def test_what_outlasts_its_time_to_answer_is_in_plan_and_report(tmp_path: Path) -> None:
+    """A request that the old node never answers; its outputs and other requests go on."""
+    path = written(tmp_path)
+    text = path.read_text().replace(' id" gate', ' id" stop drain 300 ms gate')
+    path.write_text(text.replace("talker : Plain", "talker : Id"))
+
+    async def scenario() -> None:
+        from rcl_interfaces.srv import ListParameters
+
+        async with robot(load(path).require(), tmp_path) as system:
+            client = system.bare.node.create_client(ListParameters, "/count")
+            await system.until(client.service_is_ready)
+            client.call_async(ListParameters.Request(prefixes=["0_1"], depth=1))
+            await system.until(lambda: (tmp_path / "calls").read_text().startswith("0_1"))
+            report = await system.change("Info")
+            assert (report.outcome, report.because) == ("done", None)
+            assert report.plan is not None and list(report.plan.remarks or ()) == [
+                "talker_2 answers service /count once talker has answered the requests that it has taken, after 0.3 s "
+                "(`drain`) at the latest"
+            ]
+            found = [event.words for event in system.manager.events.since(0) if event.kind in ("note", "killed")]
+            left = "talker: 1 request that it had taken was not answered within the 0.3 s of `drain`"
+            assert [each for each in found if "drain" in each] == [
+                "talker_2 answers requests; talker has not answered 1 request that it had taken within the 0.3 s of "
+                "`drain`",
+                left,
+            ]
+            assert report.continuity is not None
+            assert any(each.words.startswith(left) for each in report.continuity.found)
+            answered = client.call_async(ListParameters.Request(prefixes=["0_2"]))
+            await system.until(answered.done)
+            assert answered.result().result.names == ["talker_2"]
+
+    with ended():
+        run(scenario())
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("kinds", [("Other", "Plain"), ("Id", "Info")])
 def test_every_request_is_handled_once_across_many_replacements(tmp_path: Path, kinds: tuple[str, str]) -> None:

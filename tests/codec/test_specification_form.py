@@ -33,7 +33,7 @@ DOCUMENT: dict[str, Any] = {
         "Detector": {
             "run": "python3 -m patrol.detector --name 'the detector'",
             "takes_seconds": 2.5,
-            "stop_seconds": {"sigterm": 10, "sigkill": 0.5},
+            "stop_seconds": {"sigterm": 10, "sigkill": 0.5, "drain": 3},
             "holds": {"/dev/video0": 1, "gpu_memory": 2048},
             "parameters": {
                 "model": {"value": "small.onnx"},
@@ -118,7 +118,7 @@ def test_the_form_says_what_it_shows() -> None:
     }
     assert specification.nodes["robot1/detector"].role == "robot1/detector"
     assert detector.startup_seconds == 2.5
-    assert detector.stop == StopTimes(10.0, 0.5)
+    assert detector.stop == StopTimes(10.0, 0.5, 3.0)
     assert dict(specification.timing) == {"attach": 0.05, "create": 0.5}
 
 

@@ -2,7 +2,7 @@
  *
  * Once a period it publishes "NAME NUMBER" on `chatter`, where NAME is that of its node. It notes each request to `count`
  * in the file `calls` of its folder, as "REQUEST NAME", and responds with its name; it takes requests with
- * rcl_take_request, or with rcl_take_request_with_info. */
+ * rcl_take_request, or with rcl_take_request_with_info. A request with a depth gets no response. */
 #include "rcl_require.h"
 
 #include <rcl_interfaces/srv/list_parameters.h>
@@ -72,12 +72,13 @@ int main(int count, char **arguments)
     rmw_service_info_t info = {0};
     rcl_ret_t taken = with_info ? rcl_take_request_with_info(&service, &info, &request)
                                 : rcl_take_request(&service, &info.request_id, &request);
-    if (taken == RCL_RET_OK) {
+    if (taken == RCL_RET_OK)
       fprintf(calls, "%s %s\n", request.prefixes.data[0].data, name);
+    if (taken == RCL_RET_OK && !request.depth) {
       rosidl_runtime_c__String__Sequence__init(&response.result.names, 1);
       rosidl_runtime_c__String__assign(&response.result.names.data[0], name);
       require(rcl_send_response(&service, &info.request_id, &response), "response");
-    } else if (taken != RCL_RET_SERVICE_TAKE_FAILED) {
+    } else if (taken != RCL_RET_OK && taken != RCL_RET_SERVICE_TAKE_FAILED) {
       require(taken, "take");
     }
     rcl_interfaces__srv__ListParameters_Request__fini(&request);

@@ -32,7 +32,7 @@ from midstride.wire.commands import (
     YieldCommand,
 )
 from midstride.wire.frames import Reply, encode_value
-from midstride.wire.replies import Done
+from midstride.wire.replies import Answers
 
 
 class Server:
@@ -144,7 +144,7 @@ def answering(server: Server, peer: Peer) -> Answering:
     return Answering(server.admission, peer.call, lambda: None, Coroutine.close, asyncio.sleep, lambda: "")
 
 
-def answer(server: Server, peer: Peer, address: str | None = "its address") -> Done:
+def answer(server: Server, peer: Peer, address: str | None = "its address") -> Answers:
     command = AnswerCommand(peer="talker", address=address)
     return asyncio.run(answering(server, peer).answer(command))
 

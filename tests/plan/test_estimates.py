@@ -57,19 +57,19 @@ def test_a_plan_has_the_spread_of_what_was_measured() -> None:
 
 def test_a_plan_counts_the_time_until_a_process_is_killed_as_its_component_states_it() -> None:
     start, target = two_on_one_device()
-    old = replace(start.components["OldA"], gate="preload", stop=StopTimes(10.0, 5.0))
+    old = replace(start.components["OldA"], gate="preload", stop=StopTimes(10.0, 5.0, 1.0))
     stated = replace(start, components=start.components.set("OldA", old))
     plan = planner("minimal")(change_between(initial(stated), stated, target, {}))
-    expected = {"remove a": (0.2, 15.0), "remove b": None}
+    expected = {"remove a": (0.2, 16.0), "remove b": None}
     assert {step.describe(): step.between for step in plan.steps if step.action.kind == "remove"} == expected
     plain = duration(planned({}))
     taken = duration(plan)
     assert taken.seconds == plain.seconds
     assert taken.between is not None and taken.between[0] == plain.seconds
-    assert taken.between[1] == pytest.approx(plain.seconds + 14.8, abs=0.2)
+    assert taken.between[1] == pytest.approx(plain.seconds + 15.8, abs=0.2)
     # What was measured is expected, and no less than the stated time is possible.
     measured = change_between(initial(stated), stated, target, {"remove OldA": Estimate(2.0, 1.0, 3.0)})
-    assert measured.estimate("remove", old) == Estimate(2.0, 1.0, 15.0)
+    assert measured.estimate("remove", old) == Estimate(2.0, 1.0, 16.0)
 
 
 def test_a_plan_that_is_best_only_as_expected_says_so() -> None:

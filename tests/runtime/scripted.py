@@ -85,6 +85,7 @@ from midstride.wire.commands import (
 from midstride.wire.frames import PROTOCOL, Greeting, Registration
 from midstride.wire.pipe import PipeNetwork
 from midstride.wire.replies import (
+    Answers,
     Attached,
     CountedWrites,
     CutResult,
@@ -118,6 +119,7 @@ UNREACHABLE = Unreachable("the component cannot be reached")
 
 # What a component replies where the test says nothing else.
 REPLIES: dict[type[Command[Any]], Any] = {
+    AnswerCommand: Answers(),
     AttachCommand: Attached(matched=1),
     AwaitCutCommand: CutResult(outcome="done"),
     AwaitIdleCommand: Idle(busy=None),

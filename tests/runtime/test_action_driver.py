@@ -50,6 +50,7 @@ from midstride.wire.commands import (
     SetParametersCommand,
 )
 from midstride.wire.replies import (
+    Answers,
     Attached,
     CutResult,
     Detached,
@@ -693,7 +694,12 @@ def test_a_replacement_without_outputs_answers_requests_before_the_old_one_ends(
     async def body(b: Bench) -> None:
         standing_by(b, "listener_2")
         ended: list[list[Any]] = []
-        b.client.reply("listener_2", AnswerCommand, lambda _: ended.append(list(b.backend.ended)))
+
+        def answers(_: Any) -> Answers:
+            ended.append(list(b.backend.ended))
+            return Answers()
+
+        b.client.reply("listener_2", AnswerCommand, answers)
         await perform(b, Remove("listener"))
         assert answering(b)[0] == ("listener_2", AnswerCommand(peer="listener", address=b.client.address("listener")))
         assert ended[0] == [] and b.backend.ended

@@ -121,7 +121,15 @@ def test_a_topic_that_is_handed_over_has_one_writer(old: Gate, new: Gate, named:
             True,
             ["ROS action /dock ends with mapper", "/mapper/save and service /reset are answered"],
         ),
-        ("none", "Mapper", False, ["/mapper/save, service /reset and ROS action /dock end with mapper"]),
+        (
+            "none",
+            "Mapper",
+            False,
+            [
+                "mapper and its replacement answer service /reset while both run",
+                "/mapper/save, service /reset and ROS action /dock end with mapper",
+            ],
+        ),
     ],
 )
 def test_a_service_that_the_successor_answers_does_not_end(
@@ -160,3 +168,18 @@ def test_both_write_on_a_private_topic_where_they_have_one_name() -> None:
     assert shared(keeps_name=False) == []
     (words,) = shared(keeps_name=True)
     assert words.startswith("which instance writes on /talker/own")
+
+
+def test_between_the_api_and_a_node_without_it_both_answer() -> None:
+    own, plain = ComponentSpec.of("Own", run="mapper"), ComponentSpec.of("Plain", run="mapper", gate="preload")
+    relayed = ComponentSpec.of("Relayed", run="mapper", gate="relay")
+    known = LastKnown(None, GOALS[3:4])
+    (found,) = what_ended("mapper", own, known, planned=True, beside=plain)
+    assert "mapper and its replacement answer service /reset while both run" in found.words
+    assert not list(what_ended("mapper", own, known, planned=True, beside=own))
+    state = bare_state("mapper", node="/mapper", serves=["service /reset"])
+    known = LastKnown(LatestState(state, 0.0), ())
+    found, _ = what_ended("mapper", plain, known, planned=False, beside=own)
+    assert "mapper and its replacement answered service /reset while both run" in found.words
+    (found,) = what_ended("mapper", relayed, LastKnown(None, ()), planned=True, beside=relayed)
+    assert "each of the two answers the services that both have" in found.words

@@ -75,6 +75,7 @@ from midstride.wire.frames import (
 )
 from midstride.wire.program import FileFingerprint, Program
 from midstride.wire.replies import (
+    Answers,
     Attached,
     Confirmed,
     CountedWrites,
@@ -239,7 +240,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (CancelCutCommand(cut="c", timeout=1.5), Done()),
     (GateCommand(port="out", topic="/t", gate="closed", latch=True, timeout=1.5), Done()),
     (FenceCommand(attachments=[("out", "/t")], lift=True, timeout=1.5), FencedOutputs(last={"out /t": 3})),
-    (AnswerCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
+    (AnswerCommand(peer="old", drain=3.0, address="unix:/x", timeout=1.5), Answers(outlasting=1)),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
     (CutTakenCommand(cut="c", failed=True, claim="here", timeout=1.5), Confirmed(resumed=True)),

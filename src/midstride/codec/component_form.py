@@ -189,13 +189,14 @@ class StopForm(Form, frozen=True):
 
     sigterm: Annotated[SecondsOrZero, Meta(description="how long after SIGINT")] = DEFAULT_STOP.sigterm
     sigkill: Annotated[SecondsOrZero, Meta(description="how long after SIGTERM")] = DEFAULT_STOP.sigkill
+    drain: Annotated[SecondsOrZero, Meta(description="how long it answers what it has taken")] = DEFAULT_STOP.drain
 
     @classmethod
     def of(cls, stop: StopTimes) -> StopForm:
-        return cls(sigterm=plain(stop.sigterm), sigkill=plain(stop.sigkill))
+        return cls(sigterm=plain(stop.sigterm), sigkill=plain(stop.sigkill), drain=plain(stop.drain))
 
     def times(self) -> StopTimes:
-        return StopTimes(float(self.sigterm), float(self.sigkill))
+        return StopTimes(float(self.sigterm), float(self.sigkill), float(self.drain))
 
 
 class ComponentForm(Form, frozen=True):

@@ -51,7 +51,9 @@ class ForeignCommands:
                 return self._node.state()
             case commands.SetParametersCommand() if self._parameters is not None:
                 return await self._parameters.set(command)
-            case commands.PingCommand() | commands.MeetCommand() | commands.AnswerCommand() | commands.HoldCommand():
+            case commands.AnswerCommand():
+                return replies.Answers()
+            case commands.PingCommand() | commands.MeetCommand() | commands.HoldCommand():
                 pass  # to hold: its code makes its calls at any time, and its modes change without them
             case commands.ProgramCommand():
                 return Program(files=[], started=self._node.record.started)

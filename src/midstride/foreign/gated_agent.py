@@ -50,6 +50,8 @@ GRAPH_LOOK: Final = 2.0
 FIRST_LOOK: Final = 0.3
 # A node of which the graph has shown nothing new for so long, and that answers, will create no more of them (s).
 SETTLED: Final = 2.0
+# How long a report may take to the manager, whose process this is, before the process of the node ends (s).
+REPORTED: Final = 0.1
 _REMEMBERED: Final = 1000
 
 
@@ -115,6 +117,9 @@ class ForeignAgent:
     async def finish(self) -> None:
         """Before its process is ended. Raises CommandRefused where a lifecycle node has not made its transitions."""
         await self._outputs.finish()
+        if self.node.unfinished is not None:
+            self._report()
+            await asyncio.sleep(REPORTED)
         if self.lifecycle is not None and self.lifecycle.lifecycle.responsive:
             await self.lifecycle.finish()
 

@@ -18,6 +18,7 @@ from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
 from midstride.foreign.page import OPEN, OUTPUT
 from midstride.foreign.ungated_outputs import UngatedOutputs
+from midstride.model.component import DEFAULT_STOP
 from midstride.node.control.attachments import READY_AFTER, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
@@ -32,8 +33,6 @@ HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
 # How long a node may take until it shows the clients of the one that answers, or its readers (s).
 PEERS_KNOWN: Final = 2.0
-# How long a node has to answer the requests that it has taken, once its successor is to answer (s).
-DRAIN: Final = 2.0
 # How long a node that has answered stays: a client that is held up learns that it has left before it reads (s).
 LINGER: Final = 0.5
 
@@ -175,7 +174,7 @@ class GatedOutputs(UngatedOutputs):
 
     # -- requests to its services, and topics that are no ports -----------------------------------------
 
-    async def answer(self, command: commands.AnswerCommand) -> replies.Done:
+    async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
         """Write from now on also on topics that are no ports, and answer requests.
 
         Requests are what arrives, and what has been held that the old one has not taken.
@@ -187,11 +186,11 @@ class GatedOutputs(UngatedOutputs):
             # A call that is publishing, and does not end, is of a stopped process: this one takes over after it.
             await self._node.comes_true(gates.take_unstated, PUBLISHING)
         if (other := page.answering(index)) is None:
-            return replies.Done()
+            return replies.Answers()
         await self._peers_known(other, command, lambda: gates.has_clients_of(other))
-        self._gates.answer(DRAIN)
-        await self._node.comes_true(lambda: self._gates.begun, DRAIN)
-        return replies.Done()
+        self._gates.answer(command.drain)
+        await self._node.comes_true(lambda: self._gates.begun, command.drain)
+        return replies.Answers(outlasting=0 if page.is_dead(other) else int(page.layout.nodes[other].unanswered))
 
     async def _peers_known(self, other: int, command: commands.AnswerCommand, known: Callable[[], bool]) -> None:
         """Wait until this node is matched with the peers of the node ``other``, where that lives."""
@@ -208,8 +207,13 @@ class GatedOutputs(UngatedOutputs):
 
     async def finish(self) -> None:
         """Before the process is ended of a node whose successor answers: what it has taken is answered first."""
-        if self._gates.succeeded:
-            await self._node.comes_true(lambda: self._gates.answered_all(LINGER), DRAIN + LINGER)
+        if not self._gates.succeeded:
+            return
+        drain = (self._node.component.stop or DEFAULT_STOP).drain
+        await self._node.comes_true(lambda: self._gates.answered_all(LINGER), drain + LINGER)
+        if left := int(self._gates.page.layout.nodes[self._gates.index].unanswered):
+            what = "1 request that it had taken was" if left == 1 else f"{left} requests that it had taken were"
+            self._node.unfinished = f"{what} not answered within the {drain:g} s of `drain`"
 
     # -- hand-over -------------------------------------------------------------------------------------
 

@@ -62,6 +62,7 @@ class ForeignNode:
         self.looked = True  # these are known, or nothing can know them
         # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
         self.inactive: Callable[[], float] | None = None
+        self.unfinished: str | None = None  # what it has left unanswered as it ends
         self._unanswered: float | None = None  # since when it has not answered (monotonic s)
         self.others = others
         self._folder = folder
@@ -180,6 +181,7 @@ class ForeignNode:
             unknown_origin=[name for name in self.declared if name not in record.requested],
             simulated_time=record.simulated_time,
             clock_speed=self.others.speed if record.simulated_time else 1.0,
+            unfinished=self.unfinished,
         )
 
     def gate_states(self) -> dict[str, GateState | None]:

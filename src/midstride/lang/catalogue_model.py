@@ -309,6 +309,7 @@ MODEL: Final = (
         STARTED.replace('talker"', 'talker" gate relay').replace("mode silent", "mode quiet { }\n    mode silent")
         + NODE,
         STARTED.replace('talker"', 'talker" stop sigterm 10 s sigkill 5 s') + NODE,
+        STARTED.replace('talker"', 'talker" stop drain 5 s gate relay') + NODE,
         STARTED.replace('talker"', 'talker" activate 10 s') + NODE,
         STARTED.replace("output out", "output out lazy") + NODE,
         _json(

@@ -305,8 +305,9 @@ def _not_stated_again(lazy: tuple[syntax.Name, ...], outputs: tuple[syntax.Name,
 
 
 def _stop_times(stop: syntax.StopClause) -> StopTimes:
-    sigterm, sigkill = stop.sigterm, stop.sigkill
+    sigterm, sigkill, drain = stop.sigterm, stop.sigkill, stop.drain
     return StopTimes(
         DEFAULT_STOP.sigterm if sigterm is None else sigterm.value,
         DEFAULT_STOP.sigkill if sigkill is None else sigkill.value,
+        DEFAULT_STOP.drain if drain is None else drain.value,
     )

@@ -85,11 +85,13 @@ class ComponentParser(ContractParser):
 
     def _stop(self) -> syntax.StopClause:
         start = self.i - 1
+        drain = self.seconds("a time after `drain`") if self.accept_word("drain") else None
         sigterm = self.seconds("a time after `sigterm`") if self.accept_word("sigterm") else None
         sigkill = self.seconds("a time after `sigkill`") if self.accept_word("sigkill") else None
-        if sigterm is None and sigkill is None:
-            raise self.fail("`sigterm` or `sigkill` after `stop`", "write for example `stop sigterm 10 s sigkill 5 s`")
-        return syntax.StopClause(sigterm, sigkill, self.since(start))
+        if drain is None and sigterm is None and sigkill is None:
+            help = "write for example `stop sigterm 10 s sigkill 5 s`"
+            raise self.fail("`drain`, `sigterm` or `sigkill` after `stop`", help)
+        return syntax.StopClause(drain, sigterm, sigkill, self.since(start))
 
     def _gate(self) -> syntax.Name | None:
         gate, start = self.name("`preload`, `relay`, `lifecycle` or `none` after `gate`"), self.i - 1

@@ -96,8 +96,9 @@ class ContractExpression(NamedTuple):
 
 
 class StopClause(NamedTuple):
-    """``stop sigterm SECONDS sigkill SECONDS``, of which one may be missing."""
+    """``stop drain SECONDS sigterm SECONDS sigkill SECONDS``, of which any two may be missing."""
 
+    drain: Number | None
     sigterm: Number | None
     sigkill: Number | None
     span: Span

@@ -36,11 +36,14 @@ GATES: Final[tuple[Gate, ...]] = get_args(Gate)
 class StopTimes:
     """How a process is ended: with SIGINT, after ``sigterm`` s with SIGTERM, after ``sigkill`` s more with SIGKILL.
 
-    A signal that has 0 s to take effect is not sent. The defaults are those of ROS's own `launch`.
+    A signal that has 0 s to take effect is not sent. The defaults are those of ROS's own `launch`. Before that, a node
+    with the preloaded library answers the requests to its services that it has taken, for ``drain`` s from when its
+    replacement is to answer, and for as long again once it is to end.
     """
 
     sigterm: float = 5.0
     sigkill: float = 5.0
+    drain: float = 2.0
 
     @property
     def longest(self) -> float:

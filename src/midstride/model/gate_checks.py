@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from midstride.model.component import ComponentSpec, value_fits, value_kind
+from midstride.model.component import DEFAULT_STOP, ComponentSpec, value_fits, value_kind
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.lifecycle_management import managed_nodes
 from midstride.model.specification import Node, Specification
@@ -96,6 +96,10 @@ def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         message = f"{name} states how its process is ended, but has no gate: it uses Midstride's API, and ends in order"
         help = "omit `stop`; `on_stop(…, timeout=…)` in its code says how long that may take"
         yield Problem(_CODE, (*path, "stop_seconds"), message, help)
+    elif component.stop is not None and component.stop.drain != DEFAULT_STOP.drain and not component.preloads:
+        message = f"{name} states for how long it answers requests that it has taken, and nothing sees its requests"
+        help = 'omit `drain`, or have the library preloaded: `run "…" gate preload`'
+        yield Problem(_CODE, (*path, "stop_seconds", "drain"), message, help)
     if component.activate_seconds is not None and component.gate is None:
         message = f"{name} states how long it may take to activate, but it is no lifecycle node"
         help = 'omit it, or state the gate: `run "…" gate lifecycle`'

@@ -131,7 +131,10 @@ def _same_but_name(before: ComponentSpec, after: ComponentSpec) -> bool:
 
 def _stop(component: ComponentSpec) -> str | None:
     stop = component.stop
-    return None if stop is None else f"sigterm {format_number(stop.sigterm)} s sigkill {format_number(stop.sigkill)} s"
+    if stop is None:
+        return None
+    times = (("drain", stop.drain), ("sigterm", stop.sigterm), ("sigkill", stop.sigkill))
+    return " ".join(f"{name} {format_number(seconds)} s" for name, seconds in times)
 
 
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:

@@ -16,6 +16,7 @@ import msgspec
 
 from midstride.wire.program import Program
 from midstride.wire.replies import (
+    Answers,
     Attached,
     Confirmed,
     CountedWrites,
@@ -408,13 +409,15 @@ class FenceCommand(Command[FencedOutputs], frozen=True, kw_only=True, tag="fence
     timeout: Seconds = 0.3
 
 
-class AnswerCommand(Command[Done], frozen=True, kw_only=True, tag="answer"):
+class AnswerCommand(Command[Answers], frozen=True, kw_only=True, tag="answer"):
     """Answer the requests to the node's services from now on, instead of ``peer``, which is asked to stop first.
 
-    Without an ``address``, no other instance answers. Done already if the component answers them.
+    Without an ``address``, no other instance answers. Done already if the component answers them. A ``peer`` without
+    Midstride's API has ``drain`` (s) to answer the requests that it has taken.
     """
 
     peer: str = ""
+    drain: Seconds = 2.0
     address: str | None = None
 
 

@@ -25,6 +25,12 @@ class Done(WireValue, frozen=True, kw_only=True):
     """Carried out; there is nothing to report."""
 
 
+class Answers(WireValue, frozen=True, kw_only=True):
+    """The component answers requests; the peer that did so before has not answered ``outlasting`` that it had taken."""
+
+    outlasting: int = 0
+
+
 class Grid(WireValue, frozen=True, kw_only=True):
     """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``.
 

@@ -142,8 +142,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     with the value that it was started with. ``keeps_state``: it exports state for its replacement. ``host``: the name
     of the computer or container that its process runs on, empty where that is not known. ``unread_parameters``: whether
     any were set while it ran is not known, as its parameter services do not answer. ``unknown_origin``: those of
-    ``declared`` that a ROS tool has set, or the node itself. ``unfinished``: in which way its `on_stop` has failed,
-    once it ends.
+    ``declared`` that a ROS tool has set, or the node itself. ``unfinished``: once it ends, in which way its `on_stop`
+    has failed, or what it has left unanswered.
     """
 
     instance: str

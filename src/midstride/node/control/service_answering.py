@@ -46,10 +46,10 @@ class Answering:
     # The address of the instance that answers instead; None while none does.
     _successor: str | None = field(default=None, init=False)
 
-    async def answer(self, command: commands.AnswerCommand) -> replies.Done:
+    async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
         if not self.admission.is_open:
             self.admission.open(None if command.address is None else await self._yielded(command.peer, command.address))
-        return replies.Done()
+        return replies.Answers()
 
     def pause(self) -> bool:
         """Answer no request for now: the state is about to be exported. Whether this one answered until now."""

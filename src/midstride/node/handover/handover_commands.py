@@ -260,7 +260,7 @@ class HandoverCommands:
         await self.data.run(lambda: mute(self.runners), command.timeout)
         return replies.Done()
 
-    async def answer(self, command: commands.AnswerCommand) -> replies.Done:
+    async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
         """The instance of its role that answers is the one that works, too."""
         done = await self.answering.answer(command)
         await self.data.run(lambda: unmute(self.runners), command.timeout)

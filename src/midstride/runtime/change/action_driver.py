@@ -29,7 +29,7 @@ from midstride.model.action import (
     Swap,
     Upgrade,
 )
-from midstride.model.component import PortRef
+from midstride.model.component import DEFAULT_STOP, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import FEWEST_PERIODS, handover_seconds
 from midstride.plan.state_continuity import left_behind, without_outputs
@@ -390,10 +390,13 @@ class ActionDriver:
     async def _change_answering(self, leaving: str, runs: bool) -> None:
         """If another instance has the role of one that leaves, have it answer requests from now on."""
         role = self.configuration.instances[leaving].role
+        drain = (self.configuration.component(leaving).stop or DEFAULT_STOP).drain
         for other in self.configuration.instances_of(role):
             if other.name != leaving and not self.system.life.is_gone(other.name):
                 try:
-                    await have_answer(self.client, other.name, instead_of=leaving if runs else None)
+                    left = await have_answer(self.client, other.name, leaving if runs else None, drain)
+                    if left is not None:
+                        self.events.add("note", left)
                 except MidstrideError as error:
                     self.events.add("note", f"{other.name} does not answer requests to {role}: {error}")
 

@@ -42,7 +42,7 @@ from midstride.runtime.change.change_permission import NO_OVERRIDE, ChangePermis
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
-from midstride.runtime.change.lost_endpoints import lost_endpoints
+from midstride.runtime.change.lost_endpoints import answered_in_turn, lost_endpoints
 from midstride.runtime.change.managed_nodes import require_unmanaged
 from midstride.runtime.change.other_nodes_losses import (
     ending_nodes,
@@ -147,7 +147,9 @@ class ChangeSession:
             *lost_endpoints(plan, system.life.latest_states, self._endpoints()),
             *nodes_that_will_end(plan, others),
         )
-        return replace(plan, remarks=(*remarks, *hung, *left, *not_known, *plan.remarks), besides=besides), target
+        in_turn = answered_in_turn(plan, system.life.latest_states)
+        remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks)
+        return replace(plan, remarks=remarks, besides=besides), target
 
     async def _said(self, roles: Iterable[str]) -> dict[str, Values]:
         """The parameters of the instances of ``roles``, by instance, as their nodes say them now.

@@ -11,12 +11,12 @@ from msgspec import structs
 
 from midstride import verdicts
 from midstride.model.action import Create, Remove
-from midstride.model.component import ComponentSpec
+from midstride.model.component import DEFAULT_STOP, ComponentSpec
 from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
-from midstride.wire.state import Endpoint
+from midstride.wire.state import ComponentState, Endpoint
 
 
 def lost_endpoints(
@@ -88,19 +88,26 @@ def what_ended(
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
-        yield verdicts.not_looked_at(name, "it is behind a relay")
+        because = "it is behind a relay, which passes on messages, and no requests"
+        if beside is not None:
+            verb, may = ("answers", "may be") if planned else ("answered", "may have been")
+            because += f"; each of the two {verb} the services that both have, so that a request {may} handled twice"
+        yield verdicts.not_looked_at(name, because)
     elif component.gate is not None and not component.once and (state is None or not state.looked):
         yield verdicts.not_looked_at(name, new)
     if goals := [f"ROS action {each.name}" for each in own if each.kind == "ROS action" and each.serves]:
         yield verdicts.goals_end_with(name, goals, planned=planned)
+    both = [f"service {each.name}" for each in own if each.kind == "service" and each.serves]
+    if both and beside is not None and component.gate is None and beside.gate is not None:
+        yield verdicts.answered_by_both(name, both, planned=planned)
     called = [f"{each.kind} {each.name}" for each in own if each.kind != "topic" and not each.serves]
     if state is not None:
         if state.starting:
             yield verdicts.management_unknown(name, state.starting, planned=planned)
-        goes_on = []
-        if beside is not None and component.preloads and beside.preloads:
-            services = (each for each in state.serves if not each.startswith("ROS action "))
-            goes_on = [each for each in services if state.keeps_name or _is_public(each, state.node)]
+        shared = [] if beside is None else shared_services(state)
+        goes_on = shared if beside is not None and component.preloads and beside.preloads else []
+        if shared and not goes_on and component.gate is not None:
+            yield verdicts.answered_by_both(name, shared, planned=planned)
         if ending := [each for each in state.serves if each not in goes_on]:
             yield verdicts.ends_with(name, ending, planned=planned)
         if goes_on and beside is not None and beside.name != component.name:
@@ -110,9 +117,31 @@ def what_ended(
         yield verdicts.calls_end_with(name, called, planned=planned)
 
 
+def shared_services(state: ComponentState) -> list[str]:
+    """Return the services of a node (in words) that its replacement may have: all, or those without its name."""
+    services = (each for each in state.serves if not each.startswith("ROS action "))
+    return [each for each in services if state.keeps_name or _is_public(each, state.node)]
+
+
 def _is_public(service: str, node: str | None) -> bool:
     """Whether the name of a service (in words) does not depend on that of its ``node``."""
     return service.startswith("service /") and not service.startswith(f"service {node}/")
+
+
+def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:
+    """When the replacement of a node with the preloaded library begins to answer requests, in words.
+
+    ``states``: the last reports of the nodes that ``plan`` removes.
+    """
+    for old, new in plan.change.replaced.items():
+        before, after = plan.change.component_of(old), plan.change.component_of(new)
+        latest = states.get(old)
+        if latest is not None and before.preloads and after.preloads and (shared := shared_services(latest.state)):
+            drain = (before.stop or DEFAULT_STOP).drain
+            yield (
+                f"{new} answers {verdicts.listed(shared)} once {old} has answered the requests that it has taken, "
+                f"after {drain:g} s (`drain`) at the latest"
+            )
 
 
 def two_writers(

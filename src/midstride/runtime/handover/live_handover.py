@@ -19,7 +19,7 @@ from immutables import Map
 
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Swap
-from midstride.model.component import PortRef
+from midstride.model.component import DEFAULT_STOP, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.cancellation import all_of
@@ -183,8 +183,12 @@ class LiveHandover:
         instances = self.configuration.instances
         for old, new in self._pairs:
             if old != new and instances[old].role == instances[new].role:
+                runs = not self.client.life.is_gone(old)
+                drain = (instances[old].component.stop or DEFAULT_STOP).drain
                 try:
-                    await have_answer(self.client, new, instead_of=None if self.client.life.is_gone(old) else old)
+                    left = await have_answer(self.client, new, old if runs else None, drain)
+                    if left is not None:
+                        self.events.add("note", left)
                 except MidstrideError as error:
                     self.events.add("note", f"{new} does not answer requests to {instances[new].role} yet: {error}")
 

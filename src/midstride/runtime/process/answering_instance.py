@@ -5,20 +5,34 @@ The components do it among themselves (:mod:`midstride.node.control.service_answ
 
 from __future__ import annotations
 
+from typing import Final
+
 from midstride.errors import CallTimeout
+from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import AnswerCommand
 
+# How long an instance may take to answer, where the one before has the usual time for what it has taken (s).
+ANSWERS_WITHIN: Final = 2.0
 
-async def have_answer(client: ComponentClient, instance: str, instead_of: str | None = None) -> None:
+
+async def have_answer(
+    client: ComponentClient, instance: str, instead_of: str | None = None, drain: float = DEFAULT_STOP.drain
+) -> str | None:
     """Have ``instance`` answer requests, unless it reports that it does. Raises MidstrideError.
 
-    ``instead_of`` is the running instance that has answered until now; None if there is none.
+    ``instead_of`` is the running instance that has answered until now, and has ``drain`` (s) to answer what it has
+    taken; None if there is none. Returns what it had not answered then, in words; None if nothing.
     """
     latest = client.life.latest(instance)
     if latest is not None and latest.state.answers:
-        return
+        return None
     if latest is not None and client.life.responsive(instance) is None:
         raise CallTimeout(f"{instance} reports nothing")  # what waits for it would only be late
     address = None if instead_of is None else client.address(instead_of)
-    await client.change(instance, AnswerCommand(peer=instead_of or "", address=address))
+    timeout = ANSWERS_WITHIN + max(0.0, drain - DEFAULT_STOP.drain)
+    command = AnswerCommand(peer=instead_of or "", address=address, drain=drain, timeout=timeout)
+    if not (left := (await client.change(instance, command)).outlasting):
+        return None
+    what = f"{left} request{'' if left == 1 else 's'} that it had taken"
+    return f"{instance} answers requests; {instead_of} has not answered {what} within the {drain:g} s of `drain`"

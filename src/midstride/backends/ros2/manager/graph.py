@@ -194,7 +194,7 @@ class Graph:
             action, _, part = name.partition(_ACTION)
             if part:
                 served.add(f"ROS action {action}")
-            elif not any(type_.startswith(_OF_EVERY_NODE) for type_ in types):
+            elif not name.startswith(f"{node}/") or not any(type_.startswith(_OF_EVERY_NODE) for type_ in types):
                 served.add(f"service {name}")
         managers = tuple(self._managers(node)) if has_lifecycle else ()
         return Served(tuple(sorted(served)), has_lifecycle, managers, tuple(sorted(self._calls(node))))
