@@ -64,7 +64,7 @@ def set_up(node):
 
 comp.start()
 """
-# Nodes with the names that replacements would have, one of which listens; and a client.
+# Nodes with the names of the instances that replace others, one of which listens; and a client.
 OTHERS = """
 import sys
 import rclpy
@@ -156,7 +156,7 @@ def names_are_free_and_a_request_is_answered(midstride: Midstride, others: subpr
         assert restarted.status == 0, restarted.out + restarted.err
     assert others.stdout.readline() == "asked\n", "the old instance has answered"
     nodes = {each["role"]: each["node"] for each in midstride("status", "--json").json["instances"]}
-    assert nodes == {"asked": "/asked", "plain": "/plain_3"}
+    assert nodes == {"asked": "/asked", "plain": "/plain"}, "each keeps its name"
 
 
 def another_domain_is_refused(midstride: Midstride, file: Path) -> None:
