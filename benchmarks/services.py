@@ -94,7 +94,7 @@ async def replaced(folder: Path, swaps: int, kinds: tuple[str, str]) -> tuple[Fi
 
 def started(folder: Path, name: str) -> subprocess.Popen[bytes]:
     command = [sys.executable, str(folder / "server.py"), "--ros-args", "-r", f"__node:={name}"]
-    return subprocess.Popen(command, env=without_midstride(), cwd=folder)
+    return subprocess.Popen(command, env={**without_midstride(), "MIDSTRIDE_INSTANCE": name}, cwd=folder)
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
