@@ -52,6 +52,14 @@ def requests_steps(path: Path) -> Any:
     return library
 
 
+def goal_steps(path: Path) -> Any:
+    """The gate library at ``path``, with what its steps make of the word of a goal, and whose turn it is."""
+    library, number = requests_steps(path), c_uint32
+    library.midstride_goal.argtypes, library.midstride_goal.restype = [c_uint64, c_int, number, c_int], c_uint64
+    library.midstride_turn.argtypes = [c_int, number, c_int, number, c_int, c_int, c_int]
+    return library
+
+
 def environment_of_compiled(base: Mapping[str, str]) -> dict[str, str]:
     """That of a program that :func:`compiled` has made. With wheels, rclpy has set the path of their libraries."""
     paths = [base.get("LD_LIBRARY_PATH", ""), sysconfig.get_config_var("LIBDIR")]

@@ -246,7 +246,7 @@ def ends_with(instance: str, served: Sequence[str], *, planned: bool) -> Assessm
 
 
 def answered_if_offered(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
-    """The services of a node without Midstride's API are answered by its successor, a node of another component."""
+    """What a node without Midstride's API serves is served by its successor, a node of another component."""
     one = len(served) == 1
     verb = ("is" if one else "are") if planned else ("was" if one else "were")
     replacement = f"the replacement of {instance} only if that offers {'it' if one else 'them'}"
@@ -260,6 +260,15 @@ def answered_by_both(instance: str, served: Sequence[str], *, planned: bool) -> 
     words = (
         f"requests of others: {instance} and its replacement answer{verb} {listed(served)} while both run, where both "
         f"have it, so that a request {may} handled twice"
+    )
+    return Assessment(instance, "not_measurable", words)
+
+
+def goals_go_on(instance: str, actions: Sequence[str], patience: float) -> Assessment:
+    """Goals that a node without Midstride's API has accepted stay with it; new ones go to its successor."""
+    words = (
+        f"goals of others that are under way at {listed(actions)}: they go on at {instance}, which runs beside its "
+        f"replacement until they have ended, for at most {patience:g} s; what is left then is cancelled"
     )
     return Assessment(instance, "not_measurable", words)
 

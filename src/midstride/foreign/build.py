@@ -14,7 +14,9 @@ from typing import Final
 
 from midstride.errors import StartFailed
 
-SOURCES: Final = tuple(Path(__file__).parent / name for name in ("baton.h", "requests.h", "page.h", "gate.c"))
+SOURCES: Final = tuple(
+    Path(__file__).parent / name for name in ("baton.h", "requests.h", "goals.h", "page.h", "gate.c")
+)
 _OPTIONS: Final = "-std=c11 -O2 -shared -fPIC -fvisibility=hidden".split()
 _LIBRARIES: Final = ("-lpthread", "-ldl")
 # How long the compiler may take (s).

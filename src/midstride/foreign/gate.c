@@ -47,6 +47,8 @@
 #define MOST_HELD 1000u
 /* After how long the node that answered before answers a request that its successor has not received (ns). */
 #define LEFT_OVER INT64_C(300000000)
+/* How long the node that answers a request to cancel many goals waits for the list of the other one (ns). */
+#define ADDING INT64_C(1000000000)
 /* How long a wait without a guard condition, which cannot be ended, lasts while requests are held (ns). */
 #define SHORT_WAIT INT64_C(10000000)
 /* Whose requests those of the manager to this node alone seem to be. */
@@ -147,10 +149,11 @@ static void *real(_Atomic(void *) *known, const char *name)
   if (found)
     return found;
   found = dlsym(RTLD_NEXT, name);
-  if (!found) { /* loaded by an extension module of Python, so not in the global scope */
-    /* What it is linked with is searched, too: the functions of the middleware are in a library of another name on each
-     * installation. */
-    void *handle = dlopen("librcl.so", RTLD_NOW | RTLD_NOLOAD);
+  /* Else loaded by an extension module of Python, so not in the global scope. What it is linked with is searched, too: the
+   * functions of the middleware are in a library of another name on each installation. */
+  static const char *const libraries[] = {"librcl.so", "librcl_action.so"};
+  for (unsigned index = 0; !found && index < 2; index++) {
+    void *handle = dlopen(libraries[index], RTLD_NOW | RTLD_NOLOAD);
     if (handle) {
       found = dlsym(handle, name);
       dlclose(handle);
@@ -201,6 +204,9 @@ REAL(int, rcl_count_clients, const void *, const char *, size_t *)
 REAL(int, rcl_take_request, const void *, struct request_id *, void *)
 REAL(int, rcl_take_request_with_info, const void *, struct request_info *, void *)
 REAL(int, rcl_send_response, const void *, struct request_id *, void *)
+REAL(int, rcl_action_update_goal_state, void *, int)
+REAL(int, rcl_action_goal_handle_get_info, const void *, struct goal_info *)
+REAL(int, rcl_action_expire_goals, const void *, struct goal_info *, size_t, size_t *)
 REAL(int, rcl_wait, struct wait_set *, int64_t)
 REAL(int, rcl_trigger_guard_condition, const void *)
 REAL(int, rmw_serialize, const void *, const void *, void *)
@@ -215,15 +221,37 @@ struct kept {
   serialized bytes;
 };
 
+/* What a request to a ROS action is about. */
+struct subject {
+  enum about about;
+  uint8_t goal[16];
+};
+
+/* A request to a ROS action that the node has taken and not answered yet. */
+struct taken {
+  struct taken *next;
+  struct request_id id;
+  struct subject subject;
+  struct goal *goal; /* that it asks for; NULL: it asks for none, or the page had no room */
+  bool adds;         /* another node answers it: it gets the list of what this one has cancelled */
+  bool own;          /* the library has made it */
+};
+
 /* A request that this node may have to answer later. */
 struct held {
   struct held *next;
   struct request_info info;
   serialized bytes;
+  struct subject subject;
+  struct taken *taken; /* once it is claimed, of a ROS action */
   int64_t at;
   bool claimed;   /* it is this node's to answer */
   bool announced; /* to the callback of its server */
+  bool added;     /* it is about many goals, and the node has cancelled its own */
 };
+
+/* Which service of a ROS action it is. */
+enum service { OTHER, SEND_GOAL, CANCEL_GOAL, GET_RESULT };
 
 /* A publisher, subscription or server of this process whose topic or service is in the page. */
 struct entry {
@@ -241,8 +269,10 @@ struct entry {
   _Atomic uint32_t holding; /* how many */
   void (*callback)(const void *, size_t);
   const void *context;
-  bool outlasts; /* its requests may take as long as a goal */
-  const void *response; /* the type of its responses */
+  enum service service;
+  const void *response; /* the type of what it answers */
+  struct taken *taken; /* with `lock` */
+  bool cancelled; /* the library has cancelled all goals */
 };
 
 #define ENTRIES 256u
@@ -514,9 +544,22 @@ static unsigned most_kept(const void *publisher)
   return qos->history == KEEP_LAST && qos->depth < MOST_KEPT ? (unsigned)qos->depth : MOST_KEPT;
 }
 
+static enum service service_of(const char *name)
+{
+  static const char *const names[] = {[SEND_GOAL] = "/_action/send_goal",
+                                      [CANCEL_GOAL] = "/_action/cancel_goal",
+                                      [GET_RESULT] = "/_action/get_result"};
+  size_t length = strlen(name);
+  for (enum service each = SEND_GOAL; each <= GET_RESULT; each++)
+    if (length > strlen(names[each]) && strcmp(name + length - strlen(names[each]), names[each]) == 0)
+      return each;
+  return OTHER;
+}
+
 /* Where `topic` is a port of this node, or a service, remember the endpoint, and have the helper thread run. False where
  * there is no memory for that: the endpoint would have no gate. */
-static bool add(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type)
+static bool add(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type,
+                const void *response)
 {
   pthread_mutex_lock(&lock);
   unsigned me = node_of(owner);
@@ -546,7 +589,10 @@ static bool add(const void *endpoint, const void *owner, const char *topic, uint
   entry->held = NULL;
   entry->end = &entry->held;
   entry->callback = NULL;
-  entry->outlasts = kind == SERVER && strstr(topic, "/_action/get_result") != NULL;
+  entry->service = kind == SERVER ? service_of(topic) : OTHER;
+  entry->response = response;
+  entry->taken = NULL;
+  entry->cancelled = false;
   atomic_store(&entry->holding, 0);
   atomic_store_explicit(&entry->endpoint, endpoint, memory_order_release);
   atomic_fetch_add(&port->endpoints, 1);
@@ -589,6 +635,7 @@ static struct held *unlink_held(struct entry *entry, struct held **place)
 static void free_held(struct held *held)
 {
   free(held->bytes.buffer);
+  free(held->taken);
   free(held);
 }
 
@@ -604,6 +651,11 @@ static void forget(const void *endpoint)
   discard(entry, 0);
   while (entry->held)
     free_held(unlink_held(entry, &entry->held));
+  while (entry->taken) {
+    struct taken *next = entry->taken->next;
+    free(entry->taken);
+    entry->taken = next;
+  }
   pthread_mutex_unlock(&lock);
 }
 
@@ -936,13 +988,323 @@ static void note_seen(struct requests *requests, unsigned me, const struct reque
     atomic_store(&client->seen, SEEN(me, id->number));
 }
 
-/* Hold a request: another node answers, or is to. Not where it cannot be copied: then it is left to the other one. */
-static void hold(struct entry *entry, const struct request_info *info, const void *request)
+/* -- goals of ROS actions -------------------------------------------------------------------------------------------- */
+
+/* The request is in memory as its type has it, in C as in C++: the UUID of the goal comes first in each, and in one to
+ * cancel a time follows. */
+static struct subject subject_of(const struct entry *entry, const void *request)
+{
+  static const uint8_t none[16];
+  struct subject subject = {ABOUT_NONE, {0}};
+  if (entry->service == OTHER)
+    return subject;
+  const struct goal_info *info = request;
+  memcpy(subject.goal, info->id, sizeof subject.goal);
+  if (entry->service == GET_RESULT)
+    subject.about = ABOUT_ONE;
+  else if (entry->service == CANCEL_GOAL) {
+    bool many = memcmp(info->id, none, sizeof none) == 0 || info->seconds || info->nanoseconds;
+    subject.about = many ? ABOUT_MANY : ABOUT_ONE;
+  }
+  return subject;
+}
+
+static struct goal *find_goal(struct requests *requests, const uint8_t *id)
+{
+  uint64_t parts[2];
+  memcpy(parts, id, sizeof parts);
+  for (unsigned index = 0; index < GOALS; index++) {
+    struct goal *goal = &requests->goals[index];
+    if (goal_is_known(atomic_load(&goal->word)) && atomic_load(&goal->id[0]) == parts[0] &&
+        atomic_load(&goal->id[1]) == parts[1])
+      return goal;
+  }
+  return NULL;
+}
+
+static void step_goal(struct goal *goal, unsigned me, enum goal_event event)
+{
+  uint64_t word = atomic_load(&goal->word);
+  while (!atomic_compare_exchange_weak(&goal->word, &word, goal_step(word, me, event)))
+    ;
+}
+
+/* A place for a goal that `entry` is about to accept; NULL where each has one that its node may still need. Of those whose
+ * result has been fetched, the one that was asked for first is forgotten. */
+static struct goal *reserve_goal(struct requests *requests, const struct entry *entry, const struct subject *subject)
+{
+  for (unsigned tries = 0; tries < GOALS; tries++) {
+    struct goal *found = NULL;
+    uint64_t word = 0;
+    bool free = false;
+    for (unsigned index = 0; index < GOALS && !free; index++) {
+      struct goal *goal = &requests->goals[index];
+      uint64_t seen = atomic_load(&goal->word);
+      bool ended = GOAL_STATE(seen) != NO_GOAL && has_ended(OWNER(seen));
+      free = GOAL_STATE(seen) == NO_GOAL || ended;
+      if (goal_reserve(seen, entry->me, ended) != seen &&
+          (free || !found || atomic_load(&goal->at) < atomic_load(&found->at))) {
+        found = goal;
+        word = seen;
+      }
+    }
+    if (!found)
+      return NULL;
+    if (atomic_compare_exchange_strong(&found->word, &word, goal_reserve(word, entry->me, true))) {
+      uint64_t parts[2];
+      memcpy(parts, subject->goal, sizeof parts);
+      atomic_store(&found->id[0], parts[0]);
+      atomic_store(&found->id[1], parts[1]);
+      atomic_store(&found->at, now_ns());
+      atomic_store(&found->port, (uint32_t)(entry->port - page->ports) + 1);
+      return found;
+    }
+  }
+  return NULL;
+}
+
+/* Whether a goal is of the ROS action of `entry`. */
+static bool is_of_action(const struct goal *goal, const struct entry *entry)
+{
+  uint32_t port = atomic_load(&goal->port);
+  const char *own = entry->port->topic, *other = port && port <= MOST_PORTS ? page->ports[port - 1].topic : "";
+  size_t length = (size_t)(strrchr(own, '/') - own) + 1;
+  return strncmp(own, other, length) == 0 && strcmp(other + length, "send_goal") == 0;
+}
+
+/* What a node has added to the answer of a request; NULL where it has not. */
+static struct added *find_added(struct requests *requests, unsigned index, const struct request_id *id)
+{
+  for (unsigned place = 0; place < ADDED; place++) {
+    struct added *added = &requests->added[place];
+    uint64_t word = atomic_load(&added->word);
+    if (word & WHOLE && OWNER(word) == index && atomic_load(&added->client) == client_key(id) &&
+        atomic_load(&added->number) == id->number)
+      return added;
+  }
+  return NULL;
+}
+
+/* Whose turn it is with a request to `entry`, which has arrived at `at`. `own`: whether this node answers what is about no
+ * goal. */
+static enum turn turn_with(struct requests *requests, const struct entry *entry, const struct subject *subject,
+                           const struct request_id *id, int64_t at, bool added, bool own)
+{
+  bool in_flight = false, missing = false;
+  unsigned owner = 0;
+  if (subject->about == ABOUT_ONE) {
+    struct goal *goal = find_goal(requests, subject->goal);
+    owner = goal ? OWNER(atomic_load(&goal->word)) : 0;
+    owner = owner && has_ended(owner) ? 0 : owner;
+  }
+  for (unsigned index = 0; subject->about == ABOUT_MANY && index < GOALS; index++) {
+    struct goal *goal = &requests->goals[index];
+    uint64_t word = atomic_load(&goal->word);
+    if (!goal_in_flight(word) || !is_of_action(goal, entry))
+      continue;
+    if (OWNER(word) == entry->me)
+      in_flight = true;
+    else if (now_ns() - at < ADDING && !has_ended(OWNER(word)) && !find_added(requests, OWNER(word), id))
+      missing = true;
+  }
+  return turn_of(subject->about, entry->me, own, owner, in_flight, added, missing);
+}
+
+static void answering(struct entry *entry);
+
+/* Claim a request for the node of `entry`; false where it has been claimed. `taken`: what is to be remembered of it until
+ * it is answered, NULL for that of any other service than those of a ROS action. */
+static bool begin(struct requests *requests, struct entry *entry, const struct request_id *id,
+                  const struct subject *subject, struct taken **taken)
+{
+  struct goal *goal = entry->service == SEND_GOAL ? reserve_goal(requests, entry, subject) : NULL;
+  *taken = NULL;
+  if (!claim_request(requests, id, false)) {
+    if (goal)
+      step_goal(goal, entry->me, REJECT);
+    return false;
+  }
+  answering(entry);
+  if (entry->service == OTHER)
+    return true;
+  if (goal)
+    step_goal(goal, entry->me, CLAIM);
+  *taken = calloc(1, sizeof **taken);
+  if (*taken)
+    **taken = (struct taken){.id = *id, .subject = *subject, .goal = goal};
+  return true;
+}
+
+/* Remember what the node has taken until it answers. */
+static void remember(struct entry *entry, struct taken *taken)
+{
+  if (!taken)
+    return;
+  pthread_mutex_lock(&lock);
+  taken->next = entry->taken;
+  entry->taken = taken;
+  pthread_mutex_unlock(&lock);
+}
+
+/* No longer: it answers. NULL where nothing was remembered. */
+static struct taken *recall(struct entry *entry, const struct request_id *id)
+{
+  struct taken *found = NULL;
+  pthread_mutex_lock(&lock);
+  for (struct taken **place = &entry->taken; *place && !found; place = found ? place : &(*place)->next)
+    if ((*place)->id.number == id->number && memcmp((*place)->id.client, id->client, sizeof id->client) == 0) {
+      found = *place;
+      *place = found->next;
+    }
+  pthread_mutex_unlock(&lock);
+  return found;
+}
+
+/* A response to a request to cancel goals, as bytes: 4 that say how they are ordered, the code, 3 unused, the number of
+ * goals in 4, and the goals. */
+#define CODE 4
+#define NUMBER 8
+#define FIRST_GOAL 12
+
+/* Its bytes; false where they are not those of such a response. */
+static bool read_cancelled(struct entry *entry, const void *response, serialized *bytes, uint32_t *count)
+{
+  *bytes = (serialized){.memory = {allocate, deallocate, reallocate, zero_allocate, NULL}};
+  if (!entry->response || real_rmw_serialize()(response, entry->response, bytes) != 0) {
+    real_rcutils_reset_error()();
+    free(bytes->buffer);
+    return false;
+  }
+  bool whole = bytes->length >= FIRST_GOAL;
+  if (whole)
+    memcpy(count, bytes->buffer + NUMBER, sizeof *count);
+  if (whole && bytes->length >= FIRST_GOAL + *count * sizeof(struct goal_info))
+    return true;
+  free(bytes->buffer);
+  return false;
+}
+
+/* Leave the list of what this node has cancelled for the one that answers. Where each place is used, the oldest is given
+ * up: its request is answered without it. */
+static void leave_added(struct requests *requests, struct entry *entry, const struct taken *taken, const void *response)
+{
+  serialized bytes;
+  uint32_t count = 0;
+  if (!read_cancelled(entry, response, &bytes, &count))
+    return;
+  struct added *oldest = &requests->added[0];
+  for (unsigned place = 1; place < ADDED; place++)
+    if (atomic_load(&requests->added[place].word) >> 32 < atomic_load(&oldest->word) >> 32)
+      oldest = &requests->added[place];
+  uint64_t highest = 0, word = atomic_load(&oldest->word);
+  for (unsigned place = 0; place < ADDED; place++) {
+    uint64_t generation = atomic_load(&requests->added[place].word) >> 32;
+    highest = generation > highest ? generation : highest;
+  }
+  uint64_t next = (highest + 1) << 32 | entry->me;
+  if (atomic_compare_exchange_strong(&oldest->word, &word, next)) {
+    atomic_store(&oldest->client, client_key(&taken->id));
+    atomic_store(&oldest->number, taken->id.number);
+    count = count < GOALS ? count : GOALS;
+    memcpy(oldest->goals, bytes.buffer + FIRST_GOAL, count * sizeof(struct goal_info));
+    atomic_store(&oldest->count, count);
+    atomic_compare_exchange_strong(&oldest->word, &next, next | WHOLE);
+  }
+  free(bytes.buffer);
+}
+
+/* Add what other nodes have cancelled to the response of this one. */
+static void merge_added(struct requests *requests, struct entry *entry, const struct taken *taken, void *response)
+{
+  serialized bytes;
+  uint32_t count = 0;
+  if (!read_cancelled(entry, response, &bytes, &count))
+    return;
+  uint8_t *whole = malloc(FIRST_GOAL + (count + ADDED * GOALS) * sizeof(struct goal_info));
+  uint32_t before = count;
+  if (whole) {
+    memcpy(whole, bytes.buffer, FIRST_GOAL + count * sizeof(struct goal_info));
+    for (unsigned place = 0; place < ADDED; place++) {
+      struct added *added = &requests->added[place];
+      uint64_t word = atomic_load(&added->word);
+      if (added != find_added(requests, OWNER(word), &taken->id))
+        continue;
+      uint8_t *end = whole + FIRST_GOAL + count * sizeof(struct goal_info);
+      uint32_t more = 0, all = atomic_load(&added->count);
+      for (uint32_t index = 0; index < all && index < GOALS; index++) {
+        bool known = false;
+        for (uint8_t *each = whole + FIRST_GOAL; each < end && !known; each += sizeof(struct goal_info))
+          known = memcmp(each, added->goals[index].id, sizeof added->goals[index].id) == 0;
+        if (!known)
+          memcpy(end + more++ * sizeof(struct goal_info), &added->goals[index], sizeof(struct goal_info));
+      }
+      if (atomic_load(&added->word) == word) /* else it was given up meanwhile */
+        count += more;
+    }
+  }
+  if (count > before) {
+    whole[CODE] = 0; /* ERROR_NONE */
+    memcpy(whole + NUMBER, &count, sizeof count);
+    serialized merged = {whole, FIRST_GOAL + count * sizeof(struct goal_info), 0, bytes.memory};
+    merged.capacity = merged.length;
+    if (real_rmw_deserialize()(&merged, entry->response, response) != 0)
+      real_rcutils_reset_error()();
+  }
+  free(whole);
+  free(bytes.buffer);
+}
+
+/* Something has happened to a goal of this process. */
+static void on_goal(const struct goal_info *info, enum goal_event event)
+{
+  pthread_mutex_lock(&lock);
+  for (struct table *table = &first; table; table = atomic_load(&table->next))
+    for (unsigned index = 0; index < ENTRIES; index++) {
+      struct entry *entry = &table->entries[index];
+      const void *endpoint = atomic_load(&entry->endpoint);
+      struct requests *requests =
+          endpoint && endpoint != REMOVED && entry->service == SEND_GOAL ? requests_of(entry->me) : NULL;
+      struct goal *goal = requests ? find_goal(requests, info->id) : NULL;
+      if (goal)
+        step_goal(goal, entry->me, event);
+    }
+  pthread_mutex_unlock(&lock);
+}
+
+/* rcl_action_goal_event_t */
+enum { GOAL_EVENT_SUCCEED = 2, GOAL_EVENT_CANCELED = 4 };
+
+EXPORT int rcl_action_update_goal_state(void *handle, int event)
+{
+  int result = real_rcl_action_update_goal_state()(handle, event);
+  struct goal_info info;
+  if (page && result == 0 && event >= GOAL_EVENT_SUCCEED && event <= GOAL_EVENT_CANCELED &&
+      real_rcl_action_goal_handle_get_info()(handle, &info) == 0)
+    on_goal(&info, END);
+  return result;
+}
+
+EXPORT int rcl_action_expire_goals(const void *server, struct goal_info *expired, size_t capacity, size_t *number)
+{
+  int result = real_rcl_action_expire_goals()(server, expired, capacity, number);
+  for (size_t index = 0; page && result == 0 && expired && index < *number && index < capacity; index++)
+    on_goal(&expired[index], EXPIRE);
+  return result;
+}
+
+/* -- requests that are held ------------------------------------------------------------------------------------------ */
+
+/* Hold a request: another node answers, or is to. Not where it cannot be copied: then it is left to the other one.
+ * `added`: this node has taken it, to add to the answer. */
+static void hold(struct entry *entry, const struct request_info *info, const void *request,
+                 const struct subject *subject, bool added)
 {
   struct held *held = calloc(1, sizeof *held), *surplus = NULL;
   if (!held)
     return;
   held->info = *info;
+  held->subject = *subject;
+  held->added = added;
   held->at = now_ns();
   held->bytes.memory = (allocator){allocate, deallocate, reallocate, zero_allocate, NULL};
   if (real_rmw_serialize()(request, entry->type, &held->bytes) != 0) {
@@ -963,18 +1325,26 @@ static void hold(struct entry *entry, const struct request_info *info, const voi
 static void answering(struct entry *entry)
 {
   count(entry->port, true);
-  if (!entry->outlasts)
+  if (entry->service != GET_RESULT) /* which is answered when the goal has ended */
     atomic_fetch_add(&page->nodes[entry->me - 1].unanswered, 1);
 }
 
 void midstride_ring(struct page *shared, unsigned index);
+
+/* Have the node that answers look at once. */
+static void ring_others(const struct entry *entry)
+{
+  uint64_t word = atomic_load(&requests_of(entry->me)->word);
+  if (ANSWERING(word) && ANSWERING(word) != entry->me)
+    midstride_ring(page, ANSWERING(word) - 1);
+}
 
 /* A request of this node needs no more to be waited for. */
 static void answered(struct entry *entry, struct requests *requests)
 {
   struct node *own = &page->nodes[entry->me - 1];
   atomic_store(&own->answered, now_ns());
-  if (entry->outlasts)
+  if (entry->service == GET_RESULT)
     return;
   uint32_t left = atomic_load(&own->unanswered);
   while (left && !atomic_compare_exchange_weak(&own->unanswered, &left, left - 1))
@@ -984,23 +1354,53 @@ static void answered(struct entry *entry, struct requests *requests)
     midstride_ring(page, ANSWERING(word) - 1);
 }
 
-/* The first of the requests that are held which is this node's to answer; NULL where there is none. */
+static enum turn turn_with_held(struct requests *requests, const struct entry *entry, const struct held *held)
+{
+  bool own = answers(requests, entry);
+  return turn_with(requests, entry, &held->subject, &held->info.id, held->at, held->added, own);
+}
+
+/* A copy of a request, to add to the answer of another node; it stays held, in case this one is to answer in the end. NULL
+ * where there is no memory. With `lock`. */
+static struct held *copied_to_add(struct held *held)
+{
+  struct held *copy = calloc(1, sizeof *copy);
+  if (!copy)
+    return NULL;
+  *copy = *held;
+  copy->next = NULL;
+  copy->bytes.buffer = malloc(held->bytes.length);
+  copy->taken = calloc(1, sizeof *copy->taken);
+  if (!copy->bytes.buffer || !copy->taken) {
+    free_held(copy);
+    return NULL;
+  }
+  memcpy(copy->bytes.buffer, held->bytes.buffer, held->bytes.length);
+  copy->bytes.capacity = held->bytes.length;
+  *copy->taken = (struct taken){.id = held->info.id, .subject = held->subject, .adds = true};
+  held->added = true;
+  held->announced = false;
+  return copy;
+}
+
+/* The first of the requests that are held which is this node's to take; NULL where there is none. */
 static struct held *due(struct entry *entry, struct requests *requests)
 {
   if (!atomic_load(&entry->holding))
     return NULL;
-  bool own = answers(requests, entry);
   struct held *found = NULL, *claimed_elsewhere = NULL;
   pthread_mutex_lock(&lock);
   for (struct held **place = &entry->held; *place && !found;) {
     struct held *held = *place;
+    enum turn turn = held->claimed ? ANSWER : turn_with_held(requests, entry, held);
     if (held->claimed) {
       found = unlink_held(entry, place);
-    } else if (!own) {
+    } else if (turn != ANSWER) {
+      if (turn == ADD && claim_request(requests, &held->info.id, true))
+        found = copied_to_add(held);
       place = &held->next;
-    } else if (claim_request(requests, &held->info.id, false)) {
+    } else if (begin(requests, entry, &held->info.id, &held->subject, &held->taken)) {
       found = unlink_held(entry, place);
-      answering(entry);
     } else {
       held = unlink_held(entry, place);
       held->next = claimed_elsewhere;
@@ -1022,12 +1422,17 @@ static bool take_held(struct entry *entry, struct requests *requests, struct req
   struct held *held;
   while ((held = due(entry, requests))) {
     bool read = real_rmw_deserialize()(&held->bytes, entry->type, request) == 0;
+    bool own = !held->taken || !(held->taken->adds || held->taken->own);
     *info = held->info;
+    if (read) {
+      remember(entry, held->taken);
+      held->taken = NULL;
+    }
     free_held(held);
     if (read)
       return true;
     real_rcutils_reset_error()();
-    if (!is_asked(&info->id))
+    if (own && !is_asked(&info->id))
       answered(entry, requests);
   }
   return false;
@@ -1038,12 +1443,8 @@ static bool is_due(struct entry *entry)
 {
   struct requests *requests =
       entry && entry->port->kind == SERVER && atomic_load(&entry->holding) ? requests_of(entry->me) : NULL;
-  if (!requests)
-    return false;
-  if (answers(requests, entry))
-    return true;
-  for (struct held *held = entry->held; held; held = held->next)
-    if (held->claimed)
+  for (struct held *held = requests ? entry->held : NULL; held; held = held->next)
+    if (held->claimed || turn_with_held(requests, entry, held) != WAIT)
       return true;
   return false;
 }
@@ -1057,9 +1458,9 @@ static void announce(struct entry *entry)
   if (!entry->callback)
     return;
   size_t number = 0;
-  bool own = answers(requests_of(entry->me), entry);
+  struct requests *requests = requests_of(entry->me);
   for (struct held *held = entry->held; held; held = held->next)
-    if ((own || held->claimed) && !held->announced) {
+    if (!held->announced && (held->claimed || turn_with_held(requests, entry, held) != WAIT)) {
       held->announced = true;
       number++;
     }
@@ -1082,15 +1483,40 @@ static uint32_t look_at_held(struct entry *entry, struct requests *requests)
     if (!held->claimed && BEFORE(word) == entry->me && now - held->at > LEFT_OVER) {
       uint64_t seen = atomic_load(&client_of(requests, client_key(&held->info.id))->seen);
       bool received = seen >> 48 == ANSWERING(word) && seen <= SEEN(ANSWERING(word), held->info.id.number);
-      if (!received && claim_request(requests, &held->info.id, false)) {
+      /* As if this node answered: what is about a goal of its successor is still that one's. */
+      bool own = turn_with(requests, entry, &held->subject, &held->info.id, held->at, held->added, true) == ANSWER;
+      if (!received && own && begin(requests, entry, &held->info.id, &held->subject, &held->taken))
         held->claimed = true;
-        answering(entry);
-      }
     }
     waiting += !held->claimed;
     place = &held->next;
   }
   return waiting;
+}
+
+/* Have the node cancel all goals that it has, by a request which no other one gets. With `lock`. */
+static void cancel_all(struct entry *entry)
+{
+  struct held *held = calloc(1, sizeof *held);
+  if (!held)
+    return;
+  held->taken = calloc(1, sizeof *held->taken);
+  held->bytes.length = held->bytes.capacity = CODE + sizeof(struct goal_info);
+  held->bytes.buffer = calloc(1, held->bytes.length);
+  if (!held->taken || !held->bytes.buffer) {
+    free_held(held);
+    return;
+  }
+  held->bytes.memory = (allocator){allocate, deallocate, reallocate, zero_allocate, NULL};
+  held->bytes.buffer[1] = __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__; /* no goal, no time: all of them */
+  held->info.id.number = -1;
+  held->taken->id = held->info.id;
+  held->taken->subject.about = ABOUT_MANY;
+  held->taken->own = held->claimed = true;
+  *entry->end = held;
+  entry->end = &held->next;
+  atomic_fetch_add(&entry->holding, 1);
+  entry->cancelled = true;
 }
 
 /* With `lock`. */
@@ -1099,6 +1525,8 @@ static void look_at_server(struct entry *entry, const void *server)
   struct requests *requests = requests_of(entry->me);
   if (!requests)
     return;
+  if (entry->service == CANCEL_GOAL && !entry->cancelled && atomic_load(&page->nodes[entry->me - 1].cancels))
+    cancel_all(entry);
   size_t clients = 0;
   if (atomic_load(&requests->shared) && real_rcl_count_clients()) {
     const char *name = real_rcl_service_get_service_name()(server);
@@ -1391,7 +1819,7 @@ static void mark(const void *publisher)
 EXPORT int rcl_publisher_init(void *publisher, const void *owner, const void *type, const char *name, const void *options)
 {
   int result = real_rcl_publisher_init()(publisher, owner, type, name, options);
-  if (page && result == 0 && !add(publisher, owner, real_rcl_publisher_get_topic_name()(publisher), OUTPUT, type)) {
+  if (page && result == 0 && !add(publisher, owner, real_rcl_publisher_get_topic_name()(publisher), OUTPUT, type, NULL)) {
     real_rcl_publisher_fini()(publisher, (void *)owner);
     return BAD_ALLOC;
   }
@@ -1411,7 +1839,7 @@ EXPORT int rcl_subscription_init(void *subscription, const void *owner, const vo
 {
   int result = real_rcl_subscription_init()(subscription, owner, type, name, options);
   if (page && result == 0 &&
-      !add(subscription, owner, real_rcl_subscription_get_topic_name()(subscription), INPUT, type)) {
+      !add(subscription, owner, real_rcl_subscription_get_topic_name()(subscription), INPUT, type, NULL)) {
     real_rcl_subscription_fini()(subscription, (void *)owner);
     return BAD_ALLOC;
   }
@@ -1442,7 +1870,8 @@ EXPORT int rcl_service_init(void *service, const void *owner, const void *type, 
   if (deeper.history == KEEP_LAST && deeper.depth < QUEUE)
     deeper.depth = QUEUE;
   int result = real_rcl_service_init()(service, owner, type, name, &deeper);
-  if (result == 0 && !add(service, owner, real_rcl_service_get_service_name()(service), SERVER, request)) {
+  if (result == 0 && !add(service, owner, real_rcl_service_get_service_name()(service), SERVER, request,
+                          ((const struct service_type *)type)->response)) {
     real_rcl_service_fini()(service, (void *)owner);
     return BAD_ALLOC;
   }
@@ -1489,13 +1918,24 @@ static int take_request(const void *service, struct request_info *info, void *re
   if (result != 0 || !requests)
     return result;
   note_seen(requests, entry->me, &info->id);
-  if (answers(requests, entry)) {
-    if (!claim_request(requests, &info->id, false))
+  struct subject subject = subject_of(entry, request);
+  struct taken *taken = NULL;
+  switch (turn_with(requests, entry, &subject, &info->id, now_ns(), false, answers(requests, entry))) {
+  case ANSWER:
+    if (!begin(requests, entry, &info->id, &subject, &taken))
       return NO_REQUEST;
-    answering(entry);
+    remember(entry, taken);
     return 0;
+  case ADD:
+    if (!claim_request(requests, &info->id, true) || !(taken = calloc(1, sizeof *taken)))
+      return NO_REQUEST;
+    *taken = (struct taken){.id = info->id, .subject = subject, .adds = true};
+    hold(entry, info, request, &subject, true);
+    remember(entry, taken);
+    return 0;
+  case WAIT:
+    hold(entry, info, request, &subject, false);
   }
-  hold(entry, info, request);
   pthread_mutex_lock(&lock);
   if (is_due(entry)) /* since meanwhile it is to answer */
     announce(entry);
@@ -1521,10 +1961,34 @@ EXPORT int rcl_send_response(const void *service, struct request_id *id, void *r
   struct entry *entry = find(service);
   if (entry && is_asked(id))
     return respond(entry, id, response);
-  int result = real_rcl_send_response()(service, id, response);
   struct requests *requests = entry ? requests_of(entry->me) : NULL;
-  if (requests)
-    answered(entry, requests);
+  if (!requests)
+    return real_rcl_send_response()(service, id, response);
+  struct taken *taken = entry->service == OTHER ? NULL : recall(entry, id);
+  if (taken && (taken->adds || taken->own)) { /* not this node's to answer */
+    if (taken->adds)
+      leave_added(requests, entry, taken, response);
+    free(taken);
+    ring_others(entry);
+    return 0;
+  }
+  if (taken && entry->service == CANCEL_GOAL && taken->subject.about == ABOUT_MANY)
+    merge_added(requests, entry, taken, response);
+  /* The response to the request for a goal begins with whether it is accepted; that with a result, with its status. */
+  int8_t begins = 0;
+  memcpy(&begins, response, sizeof begins);
+  if (taken && entry->service == SEND_GOAL) {
+    if (taken->goal)
+      step_goal(taken->goal, entry->me, begins ? ACCEPT : REJECT);
+    else if (begins)
+      atomic_fetch_add(&page->nodes[entry->me - 1].unknown, 1);
+  }
+  int result = real_rcl_send_response()(service, id, response);
+  struct goal *goal = taken && entry->service == GET_RESULT && begins ? find_goal(requests, taken->subject.goal) : NULL;
+  if (goal && result == 0)
+    step_goal(goal, entry->me, FETCH);
+  free(taken);
+  answered(entry, requests);
   return result;
 }
 
@@ -1779,6 +2243,17 @@ EXPORT uint64_t midstride_requests_word(uint64_t word, int step, unsigned node, 
   return step == FORGET ? requests_forget(word, node) : requests_take_back(word, node);
 }
 
+/* What the steps of goals.h make of a word, and whose turn it is. RESERVE: `number` says whether the owner has ended. */
+EXPORT uint64_t midstride_goal(uint64_t word, int reserve, unsigned node, int number)
+{
+  return reserve ? goal_reserve(word, node, number) : goal_step(word, node, (enum goal_event)number);
+}
+
+EXPORT int midstride_turn(int about, unsigned node, int own, unsigned owner, int in_flight, int added, int missing)
+{
+  return (int)turn_of((enum about)about, node, own, owner, in_flight, added, missing);
+}
+
 EXPORT int midstride_requests_claim(uint64_t word, uint32_t number, uint64_t *next)
 {
   return requests_claim(word, number, next);
@@ -1790,6 +2265,12 @@ EXPORT void midstride_free(struct page *shared, unsigned index)
   for (unsigned port = 0; port < atomic_load(&shared->head.room); port++)
     if (atomic_load(&shared->ports[port].node) == index + 1)
       free_port(&shared->ports[port]);
+  unsigned number = atomic_load(&shared->nodes[index].requests);
+  for (unsigned place = 0; number && number <= NODES && place < GOALS; place++) {
+    struct goal *goal = &requests_at(shared, number - 1)->goals[place];
+    if (OWNER(atomic_load(&goal->word)) == index + 1) /* the next process that is this node has none of its goals */
+      atomic_store(&goal->word, atomic_load(&goal->word) >> 32 << 32);
+  }
   atomic_store(&shared->nodes[index].requests, 0);
   atomic_store(&shared->nodes[index].used, 0);
 }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
@@ -16,9 +17,9 @@ from msgspec import structs
 from midstride.errors import CommandRefused
 from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
-from midstride.foreign.page import OPEN, OUTPUT
+from midstride.foreign.page import OPEN, OUTPUT, GoalState
 from midstride.foreign.ungated_outputs import UngatedOutputs
-from midstride.model.component import DEFAULT_STOP
+from midstride.model.component import DEFAULT_STOP, GOAL_PATIENCE
 from midstride.node.control.attachments import READY_AFTER, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
@@ -33,6 +34,12 @@ HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
 # How long a node may take until it shows the clients of the one that answers, or its readers (s).
 PEERS_KNOWN: Final = 2.0
+# How long a node has to end the goals that are cancelled at the end of its patience, and its clients to ask what became
+# of them (s).
+CANCELLING: Final = 3.0
+# A process whose helper thread has not looked for so long is stopped (s): its goals do not go on.
+STOPPED: Final = 3.0
+UNENDED: Final = (GoalState.RESERVED, GoalState.ASKED, GoalState.ACCEPTED)
 # How long a node that has answered stays: a client that is held up learns that it has left before it reads (s).
 LINGER: Final = 0.5
 
@@ -160,6 +167,10 @@ class GatedOutputs(UngatedOutputs):
 
         In simulated time, nothing is judged while `/clock` stands still, or it is not known how it moves.
         """
+        return replies.Idle(busy=self._hangs())
+
+    def _hangs(self) -> str | None:
+        """How an output with a rate shows that the node hangs; None where none does."""
         for port in self._node.record.links:
             rate = (
                 self._node.component.stated_rate(port, self._node.record.modes)
@@ -169,8 +180,8 @@ class GatedOutputs(UngatedOutputs):
             age = self._gates.age(port)
             due = None if age is None else self._node.due(age)
             if rate and due is not None and due > max(HANGS, HANGS_PERIODS / rate):
-                return replies.Idle(busy=f"it has written nothing on {self._node.record.topics[port]} for {age:.1f} s")
-        return replies.Idle(busy=None)
+                return f"it has written nothing on {self._node.record.topics[port]} for {age:.1f} s"
+        return None
 
     # -- requests to its services, and topics that are no ports -----------------------------------------
 
@@ -206,14 +217,46 @@ class GatedOutputs(UngatedOutputs):
             await asyncio.sleep(READY_AFTER)
 
     async def finish(self) -> None:
-        """Before the process is ended of a node whose successor answers: what it has taken is answered first."""
+        """Before a node is ended whose successor answers: its goals end, and what it has taken is answered."""
         if not self._gates.succeeded:
             return
+        found = await self._goals_end()
         drain = (self._node.component.stop or DEFAULT_STOP).drain
         await self._node.comes_true(lambda: self._gates.answered_all(LINGER), drain + LINGER)
         if left := int(self._gates.page.layout.nodes[self._gates.index].unanswered):
             what = "1 request that it had taken was" if left == 1 else f"{left} requests that it had taken were"
-            self._node.unfinished = f"{what} not answered within the {drain:g} s of `drain`"
+            found.append(f"{what} not answered within the {drain:g} s of `drain`")
+        self._node.unfinished = "; ".join(found) or None
+
+    async def _goals_end(self) -> list[str]:
+        """Wait until each goal has ended and its result was fetched, or is not kept any longer; then cancel the rest.
+
+        What is not known to have ended, in words. A node that hangs is not waited for.
+        """
+        gates, begun = self._gates, time.monotonic()
+        looked, since = gates.page.beat(gates.index), begun
+
+        def over() -> bool:
+            nonlocal looked, since
+            if (beat := gates.page.beat(gates.index)) != looked:
+                looked, since = beat, time.monotonic()
+            return not gates.goals() or time.monotonic() - since > STOPPED or self._hangs() is not None
+
+        await self._node.comes_true(over, GOAL_PATIENCE)
+        unended, unfetched = gates.goals(*UNENDED), gates.goals(GoalState.ENDED)
+        beyond = gates.goals_beyond()
+        found = [] if beyond is None else [beyond]
+        if unended:
+            seconds = time.monotonic() - begun
+            gates.cancel_goals()
+            await self._node.comes_true(lambda: not gates.goals(*UNENDED), CANCELLING)
+            found.append(f"{_counted(unended)} had not ended after {seconds:.0f} s, and cancelling was asked for")
+            if still := gates.goals(*UNENDED):
+                found.append(f"{_counted(still)} had not ended {CANCELLING:g} s later")
+            await self._node.comes_true(lambda: not gates.goals(), CANCELLING)
+        if unfetched:
+            found.append(f"no client had asked for the results of {_counted(unfetched)}")
+        return found
 
     # -- hand-over -------------------------------------------------------------------------------------
 
@@ -347,3 +390,10 @@ class GatedOutputs(UngatedOutputs):
     def _restore(self, cut: _Cut) -> None:
         for port, baton in cut.own.items():
             self._gates.entry(port).baton = baton
+
+
+def _counted(goals: Counter[str]) -> str:
+    """The goals of each ROS action, in words."""
+    return ", ".join(
+        f"{number} goal{'s' * (number != 1)} of ROS action {name}" for name, number in sorted(goals.items())
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -10,11 +11,13 @@ from typing import Final
 from midstride.errors import BackendError
 from midstride.foreign.page import (
     CLOSED,
+    GOALS,
     INPUT,
     LISTS,
     NAMES_ONE,
     OPEN,
     OUTPUT,
+    GoalState,
     Page,
     PagePort,
     PortFlag,
@@ -195,6 +198,21 @@ class Gates:
         age = (time.monotonic_ns() - node.answered) / 1e9
         waiting = any(port.gated for port in self.page.servers(self.index).values())
         return not node.unanswered and not waiting and age >= linger
+
+    # -- goals of its ROS actions ----------------------------------------------------------------------
+
+    def goals(self, *states: GoalState) -> Counter[str]:
+        """How many goals of each ROS action this node has in one of these states; without any, that are not over."""
+        wanted = states or (GoalState.RESERVED, GoalState.ASKED, GoalState.ACCEPTED, GoalState.ENDED)
+        return Counter(action for action, state in self.page.goals(self.index) if state in wanted)
+
+    def goals_beyond(self) -> str | None:
+        """What is to be said of goals that are not known: the page had no room for them."""
+        beyond = self.page.layout.nodes[self.index].unknown
+        return f"{beyond} of its goals were not known, since {GOALS} others were in progress" if beyond else None
+
+    def cancel_goals(self) -> None:
+        self.page.cancel_goals(self.index)
 
     # -- what has passed -------------------------------------------------------------------------------
 

@@ -62,7 +62,7 @@ class ForeignNode:
         self.looked = True  # these are known, or nothing can know them
         # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
         self.inactive: Callable[[], float] | None = None
-        self.unfinished: str | None = None  # what it has left unanswered as it ends
+        self.unfinished: str | None = None  # what it has left unanswered as it ends, and which goals
         self._unanswered: float | None = None  # since when it has not answered (monotonic s)
         self.others = others
         self._folder = folder

@@ -11,18 +11,21 @@
 #define MIDSTRIDE_PAGE_H
 
 #include "baton.h"
+#include "goals.h"
 #include "requests.h"
 
 #include <stdatomic.h>
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 6 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 7 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
 #define GROWTH 64 /* how many ports the file grows by */
 #define CLIENTS 512 /* how many clients of its services are known for a role at once */
+#define GOALS 256 /* how many goals of its ROS actions are known for a role at once */
+#define ADDED 4 /* how many requests to cancel many goals can be under way at two nodes of a role at once */
 #define NAME 256
 #define MARK 16 /* of the identity of an endpoint in the graph */
 
@@ -70,6 +73,8 @@ struct node {
   _Atomic uint32_t asked; /* the number of the last request that the manager has put into a file for this node alone */
   _Atomic uint32_t marked; /* whether `mark` is set: then the graph shows its process under it */
   uint8_t mark[MARK];      /* the identity of the first publisher of its process, which begins with that of the process */
+  _Atomic uint32_t cancels; /* whether the helper thread is to cancel the goals that it has */
+  _Atomic uint32_t unknown; /* how many goals it has accepted that the page had no room for */
   uint32_t spare;
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */
@@ -102,6 +107,33 @@ struct client {
   _Atomic int64_t last;  /* when one was claimed or seen last: CLOCK_MONOTONIC, ns */
 };
 
+/* A goal of a ROS action that a node of the role has accepted, or is about to. */
+struct goal {
+  _Atomic uint64_t word;
+  _Atomic uint64_t id[2]; /* its UUID */
+  _Atomic int64_t at;     /* when it was asked for: CLOCK_MONOTONIC, ns */
+  _Atomic uint32_t port;  /* index + 1 of the port of the service that takes such goals, at its owner */
+  uint32_t spare;
+};
+
+/* action_msgs/msg/GoalInfo */
+struct goal_info {
+  uint8_t id[16];
+  int32_t seconds;
+  uint32_t nanoseconds;
+};
+
+/* The goals that a node has cancelled for a request which another one answers. */
+struct added {
+  _Atomic uint64_t word; /* bits 0 to 11: index of the node + 1; bit 12: it is whole; bits 32 to 63: generation */
+  _Atomic uint64_t client; /* of the request */
+  _Atomic int64_t number;
+  _Atomic uint32_t count;
+  uint32_t spare;
+  struct goal_info goals[GOALS];
+};
+#define WHOLE (UINT64_C(1) << 12)
+
 /* The requests to the services of a role. */
 struct requests {
   _Atomic uint64_t word;   /* which node answers */
@@ -109,6 +141,8 @@ struct requests {
   _Atomic uint32_t shared; /* whether two nodes have them */
   uint32_t spare[11];
   struct client clients[CLIENTS];
+  struct goal goals[GOALS];
+  struct added added[ADDED];
 };
 
 struct page {

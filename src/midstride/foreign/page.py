@@ -18,7 +18,7 @@ from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 6
+VERSION: Final = 7
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -29,6 +29,12 @@ NAME: Final = 256
 MARK: Final = 16
 # How many clients of its services are known for a role at once.
 CLIENTS: Final = 512
+# How many goals of its ROS actions, and requests to cancel many of them that are under way.
+GOALS: Final = 256
+ADDED: Final = 4
+
+# What follows the name of a ROS action in that of its service which takes goals.
+SEND_GOAL: Final = "/_action/send_goal"
 
 # The folder beside the control sockets with the records of the nodes and this file.
 GATES_FOLDER: Final = "gates"
@@ -97,6 +103,8 @@ class PageNode(ctypes.Structure):
         ("asked", c_uint32),
         ("marked", c_uint32),
         ("mark", c_uint8 * MARK),
+        ("cancels", c_uint32),
+        ("unknown", c_uint32),
         ("spare", c_uint32),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
@@ -122,6 +130,40 @@ class PageClient(ctypes.Structure):
     ]
 
 
+class PageGoal(ctypes.Structure):
+    _fields_ = [
+        ("word", c_uint64),
+        ("id", c_uint64 * 2),
+        ("at", c_int64),
+        ("port", c_uint32),
+        ("spare", c_uint32),
+    ]
+
+
+class PageAdded(ctypes.Structure):
+    """The goals that a node has cancelled for a request which another one answers."""
+
+    _fields_ = [
+        ("word", c_uint64),
+        ("client", c_uint64),
+        ("number", c_int64),
+        ("count", c_uint32),
+        ("spare", c_uint32),
+        ("goals", c_uint8 * 24 * GOALS),
+    ]
+
+
+class GoalState(IntEnum):
+    """What is known of a goal of a ROS action; ``goals.h`` has the steps."""
+
+    NO_GOAL = 0
+    RESERVED = 1
+    ASKED = 2
+    ACCEPTED = 3
+    ENDED = 4
+    FETCHED = 5
+
+
 class PageRequests(ctypes.Structure):
     """The requests to the services of a role, whose parts are behind the place of the last port."""
 
@@ -131,6 +173,8 @@ class PageRequests(ctypes.Structure):
         ("shared", c_uint32),
         ("spare", c_uint32 * 11),
         ("clients", PageClient * CLIENTS),
+        ("goals", PageGoal * GOALS),
+        ("added", PageAdded * ADDED),
     ]
 
 
@@ -401,6 +445,23 @@ class Page:
         """The identity by which the graph shows the first publisher of the process; None until there is one."""
         node = self.layout.nodes[index]
         return bytes(node.mark) if node.marked else None
+
+    # -- goals of ROS actions --------------------------------------------------------------------------
+
+    def goals(self, index: int) -> list[tuple[str, GoalState]]:
+        """The goals that the node ``index`` has accepted, or is about to, each with the full name of its ROS action."""
+        number = self.layout.nodes[index].requests
+        found: list[tuple[str, GoalState]] = []
+        for goal in self._requests[number - 1].goals if number else ():
+            if goal.word & 0xFFF == index + 1 and (state := GoalState(goal.word >> 12 & 0xF)) is not GoalState.NO_GOAL:
+                service = self._ports[goal.port - 1].topic.decode() if goal.port else ""
+                found.append((service.removesuffix(SEND_GOAL), state))
+        return found
+
+    def cancel_goals(self, index: int) -> None:
+        """Have the process of the node ``index`` cancel all its goals, as a client of its would."""
+        self.layout.nodes[index].cancels = True
+        self.ring(index)
 
     # -- what its processes do -------------------------------------------------------------------------
 

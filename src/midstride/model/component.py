@@ -52,6 +52,8 @@ class StopTimes:
 
 
 DEFAULT_STOP: Final = StopTimes()
+# For how long a node goes on with the goals of its ROS actions once its successor takes new ones (s).
+GOAL_PATIENCE: Final = 60.0
 # For a process that must not run again, not for an instant.
 KILL_AT_ONCE: Final = StopTimes(0.0, 0.0)
 

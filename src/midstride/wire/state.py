@@ -143,7 +143,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     of the computer or container that its process runs on, empty where that is not known. ``unread_parameters``: whether
     any were set while it ran is not known, as its parameter services do not answer. ``unknown_origin``: those of
     ``declared`` that a ROS tool has set, or the node itself. ``unfinished``: once it ends, in which way its `on_stop`
-    has failed, or what it has left unanswered.
+    has failed, or what it has left unanswered, or which goals.
     """
 
     instance: str

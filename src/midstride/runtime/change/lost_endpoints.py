@@ -6,17 +6,22 @@ Of a node without the API, the graph shows these; a component with the API has n
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
 
 from msgspec import structs
 
 from midstride import verdicts
 from midstride.model.action import Create, Remove
-from midstride.model.component import DEFAULT_STOP, ComponentSpec
+from midstride.model.component import DEFAULT_STOP, GOAL_PATIENCE, ComponentSpec
 from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
 from midstride.wire.state import ComponentState, Endpoint
+
+# How the words for what a node serves begin where it is a ROS action.
+ACTION: Final = "ROS action "
 
 
 def lost_endpoints(
@@ -68,7 +73,7 @@ def _as_planned(known: LastKnown, before: LatestState | None) -> LastKnown:
         return known
     state = known.latest.state
     starting = [name for name in state.starting if name in before.state.starting]
-    return LastKnown(LatestState(structs.replace(state, starting=starting), known.latest.at), known.endpoints)
+    return replace(known, latest=LatestState(structs.replace(state, starting=starting), known.latest.at))
 
 
 def what_ended(
@@ -83,8 +88,8 @@ def what_ended(
     """What ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
-    two nodes with the preloaded library, the successor goes on with each service; where it has another name, not with
-    those below the old one.
+    two nodes with the preloaded library, the successor goes on with each service and ROS action; where it has another
+    name, not with those below the old one. The old one goes on with the goals that it has accepted.
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
@@ -105,9 +110,12 @@ def what_ended(
         if state.starting:
             yield verdicts.management_unknown(name, state.starting, planned=planned)
         shared = [] if beside is None else shared_services(state)
-        goes_on = shared if beside is not None and component.preloads and beside.preloads else []
+        actions = [] if beside is None else shared_actions(state)
+        goes_on = [*shared, *actions] if beside is not None and component.preloads and beside.preloads else []
         if shared and not goes_on and component.gate is not None:
             yield verdicts.answered_by_both(name, shared, planned=planned)
+        if goes_on and actions and planned:
+            yield verdicts.goals_go_on(name, actions, GOAL_PATIENCE)
         if ending := [each for each in state.serves if each not in goes_on]:
             yield verdicts.ends_with(name, ending, planned=planned)
         if goes_on and beside is not None and beside.name != component.name:
@@ -119,13 +127,19 @@ def what_ended(
 
 def shared_services(state: ComponentState) -> list[str]:
     """Return the services of a node (in words) that its replacement may have: all, or those without its name."""
-    services = (each for each in state.serves if not each.startswith("ROS action "))
-    return [each for each in services if state.keeps_name or _is_public(each, state.node)]
+    return [each for each in _shared(state) if not each.startswith(ACTION)]
 
 
-def _is_public(service: str, node: str | None) -> bool:
-    """Whether the name of a service (in words) does not depend on that of its ``node``."""
-    return service.startswith("service /") and not service.startswith(f"service {node}/")
+def shared_actions(state: ComponentState) -> list[str]:
+    """Return the ROS actions of a node (in words) that its replacement may have, as its services."""
+    return [each for each in _shared(state) if each.startswith(ACTION)]
+
+
+def _shared(state: ComponentState) -> list[str]:
+    def is_private(served: str) -> bool:
+        return served.removeprefix(ACTION).removeprefix("service ").startswith(f"{state.node}/")
+
+    return [each for each in state.serves if state.keeps_name or not is_private(each)]
 
 
 def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:

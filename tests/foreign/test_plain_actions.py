@@ -1,0 +1,199 @@
+"""Two plain rclpy servers of one ROS action behind the library, without a manager: whose a goal is until its end.
+
+The steps of the manager are taken here.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.foreign.page import GOALS, GoalState, Page
+from tests.backends.ros2_support import Bare, run, without_midstride
+
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
+
+# Counts to the number that a goal asks for, at 20 Hz, or until that is cancelled; its last number is its server's.
+SERVER = """
+import sys
+import threading
+import time
+import rclpy
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from test_msgs.action import Fibonacci
+
+rclpy.init()
+node = Node("server", start_parameter_services=False)
+
+def count(goal):
+    result, feedback = Fibonacci.Result(), Fibonacci.Feedback()
+    while len(result.sequence) < goal.request.order and not goal.is_cancel_requested:
+        result.sequence.append(len(result.sequence))
+        feedback.sequence = [int(sys.argv[1])]
+        goal.publish_feedback(feedback)
+        time.sleep(0.05)
+    goal.canceled() if goal.is_cancel_requested else goal.succeed()
+    result.sequence.append(int(sys.argv[1]))
+    return result
+
+ActionServer(node, Fibonacci, "/count", count, cancel_callback=lambda goal: CancelResponse.ACCEPT,
+             callback_group=ReentrantCallbackGroup())
+try:
+    rclpy.spin(node, MultiThreadedExecutor(8))
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
+"""
+OLD, NEW = 1001, 1002
+
+
+class Actions:
+    """The old server and the new one, and a client that sends them goals."""
+
+    def __init__(self, folder: Path, library: Path, bare: Bare) -> None:
+        from rclpy.action import ActionClient
+        from test_msgs.action import Fibonacci
+
+        self.page = Page(folder / "page", library)
+        self.bare = bare
+        self._library, self._program = library, folder / "server.py"
+        self._program.write_text(SERVER)
+        self.processes: dict[int, subprocess.Popen[bytes]] = {}
+        self.indices: dict[int, int] = {}
+        self._type = Fibonacci
+        self.client: Any = ActionClient(bare.node, Fibonacci, "/count")
+
+    async def start(self, name: int, of: int | None = None) -> None:
+        page = self.page
+        index = self.indices[name] = page.allocate(str(name))
+        page.have_requests(index, None if of is None else self.indices[of])
+        given = {
+            "LD_PRELOAD": str(self._library),
+            "MIDSTRIDE_GATE_PAGE": str(page.path),
+            "MIDSTRIDE_GATE_NODE": str(index),
+        }
+        command = [sys.executable, str(self._program), str(name)]
+        self.processes[name] = subprocess.Popen(command, env={**without_midstride(), **given})
+        parts = {f"/count/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result")}
+        await self.bare.until(lambda: parts <= page.servers(index).keys())
+        number = len([each for each in self.processes.values() if each.poll() is None])
+        await self.bare.until(lambda: all(self.bare.node.count_services(part) >= number for part in parts))
+        if of is not None:  # it knows the client, too
+            old = page.servers(self.indices[of])
+            await self.bare.until(lambda: all(page.servers(index)[part].matched >= 1 for part in parts & old.keys()))
+
+    def give(self, name: int) -> None:
+        self.page.give_requests(self.indices[name], 2.0)
+        for index in self.indices.values():
+            self.page.ring(index)
+
+    async def result(self, future: Any) -> Any:
+        await self.bare.until(future.done, 30)
+        return future.result()
+
+    async def accepted(self, order: int, feedback: Any = None) -> Any:
+        goal = await self.result(self.client.send_goal_async(self._type.Goal(order=order), feedback))
+        assert goal.accepted
+        return goal
+
+    def goals(self, name: int) -> list[GoalState]:
+        return [state for _, state in self.page.goals(self.indices[name])]
+
+    def close(self) -> None:
+        self.client.destroy()
+        for process in self.processes.values():
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def actions(tmp_path: Path, gate_library: Path) -> Iterator[Actions]:
+    pytest.importorskip("test_msgs.action", reason="no package with a ROS action is installed")
+    with Bare() as bare:
+        made = Actions(tmp_path, gate_library, bare)
+        try:
+            yield made
+        finally:
+            made.close()
+
+
+def test_a_goal_stays_with_the_server_that_has_accepted_it(actions: Actions) -> None:
+    from action_msgs.msg import GoalStatus
+    from action_msgs.srv import CancelGoal
+
+    async def scenario() -> None:
+        await actions.start(OLD)
+        await actions.start(NEW, OLD)
+        heard: list[int] = []
+        finishes = await actions.accepted(40, lambda message: heard.append(message.feedback.sequence[-1]))
+        asked = finishes.get_result_async()
+        stopped, among_all = await actions.accepted(100_000), await actions.accepted(100_000)
+        assert sorted(actions.goals(OLD)) == [GoalState.ACCEPTED] * 3 and not actions.goals(NEW)
+        actions.give(NEW)
+        before = len(heard)
+
+        # New goals go to the new one, and what is asked about one goes to its own.
+        short, new = await actions.accepted(2), await actions.accepted(100_000)
+        done = await actions.result(short.get_result_async())
+        assert (done.status, list(done.result.sequence)) == (GoalStatus.STATUS_SUCCEEDED, [0, 1, NEW])
+        assert sorted(actions.goals(NEW)) == [GoalState.ACCEPTED, GoalState.FETCHED]
+        answer = await actions.result(stopped.cancel_goal_async())
+        assert [bytes(each.goal_id.uuid) for each in answer.goals_canceling] == [bytes(stopped.goal_id.uuid)]
+        done = await actions.result(stopped.get_result_async())
+        assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, OLD)
+        done = await actions.result(asked)
+        assert (done.status, list(done.result.sequence)) == (GoalStatus.STATUS_SUCCEEDED, [*range(40), OLD])
+        assert set(heard) == {OLD} and len(heard) > before
+
+        # All goals: both cancel theirs, and one answer names all of them.
+        third = await actions.accepted(100_000)
+        cancel = actions.bare.node.create_client(CancelGoal, "/count/_action/cancel_goal")
+        await actions.bare.until(cancel.service_is_ready)
+        answer = await actions.result(cancel.call_async(CancelGoal.Request()))
+        assert answer.return_code == CancelGoal.Response.ERROR_NONE
+        expected = {bytes(each.goal_id.uuid) for each in (among_all, new, third)}
+        found = [bytes(each.goal_id.uuid) for each in answer.goals_canceling]
+        assert (len(found), set(found)) == (3, expected)
+        for goal, server in ((among_all, OLD), (new, NEW), (third, NEW)):
+            done = await actions.result(goal.get_result_async())
+            assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, server)
+        assert set(actions.goals(OLD)) == {GoalState.FETCHED}, "the old one has drained"
+
+        # The new one dies, and the old one goes on.
+        actions.processes[NEW].send_signal(signal.SIGKILL)
+        actions.processes[NEW].wait()
+        last = await actions.accepted(1)
+        done = await actions.result(last.get_result_async())
+        assert done.result.sequence[-1] == OLD
+
+    run(scenario())
+
+
+def test_the_goals_of_one_server_are_cancelled_by_the_page(actions: Actions) -> None:
+    """As at the end of the patience: no client has asked for it, and the other server's goals go on."""
+    from action_msgs.msg import GoalStatus
+
+    async def scenario() -> None:
+        page = actions.page
+        await actions.start(OLD)
+        goals = [await actions.accepted(100_000) for _ in range(2)]
+        await actions.start(NEW, OLD)
+        actions.give(NEW)
+        other = await actions.accepted(20)
+        page.cancel_goals(actions.indices[OLD])
+        for goal in goals:
+            done = await actions.result(goal.get_result_async())
+            assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, OLD)
+        done = await actions.result(other.get_result_async())
+        assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_SUCCEEDED, NEW)
+        assert len(page.goals(actions.indices[NEW])) == 1 <= GOALS
+
+    run(scenario())
