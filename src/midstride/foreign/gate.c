@@ -1875,9 +1875,6 @@ EXPORT int rcl_service_init(void *service, const void *owner, const void *type, 
     real_rcl_service_fini()(service, (void *)owner);
     return BAD_ALLOC;
   }
-  struct entry *entry = result == 0 ? find(service) : NULL;
-  if (entry)
-    entry->response = ((const struct service_type *)type)->response;
   return result;
 }
 
