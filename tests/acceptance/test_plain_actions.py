@@ -31,6 +31,7 @@ REPLACEMENTS = int(os.environ.get("MIDSTRIDE_REPLACEMENTS", "100"))
 
 # Plain rclpy: it talks, counts to the number that a goal asks for at 20 Hz, and notes each goal that it executes.
 SERVER = """
+import os
 import time
 import rclpy
 from pathlib import Path
@@ -43,7 +44,7 @@ from test_msgs.action import Fibonacci
 
 rclpy.init()
 node = Node("talker")
-name, number = node.get_name(), 0
+name, number = os.environ["MIDSTRIDE_INSTANCE"], 0
 publisher = node.create_publisher(String, "chatter", 10)
 executed = (Path(__file__).parent / "executed").open("a", buffering=1)
 
