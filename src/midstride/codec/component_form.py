@@ -23,11 +23,12 @@ from immutables import Map
 from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.contract_form import (
-    MessageType,
+    AnyType,
     PredicateForm,
     QoSForm,
     Rate,
     WhereForm,
+    WithinForm,
     predicate_keys,
 )
 from midstride.codec.form import (
@@ -91,15 +92,16 @@ class AssumptionForm(ShapedForm, frozen=True):
 
     what: ClassVar[str] = "an assumption (the name of an input, an object with any_of, or a predicate)"
     shapes: ClassVar[tuple[Shape, ...]] = (Shape("an assumption of inputs", ("any_of",)),)
-    otherwise: ClassVar[Shape] = Shape("a predicate", ("type",), ("rate", "qos", "where"))
+    otherwise: ClassVar[Shape] = Shape("a predicate", ("type",), ("rate", "qos", "where", "within_seconds"))
 
     any_of: Annotated[list[NonEmptyName], field("names of inputs", "one of these inputs", min_length=1)] | UnsetType = (
         UNSET
     )
-    type: MessageType | UnsetType = UNSET
+    type: AnyType | UnsetType = UNSET
     rate: Rate | UnsetType = UNSET
     qos: QoSForm | UnsetType = UNSET
     where: WhereForm | UnsetType = UNSET
+    within: WithinForm | UnsetType = msgspec.field(default=UNSET, name="within_seconds")
 
     @classmethod
     def of(cls, assumption: Assumption) -> AssumptionForm | str:
@@ -112,7 +114,7 @@ class AssumptionForm(ShapedForm, frozen=True):
     def assumption(self) -> Assumption:
         if self.any_of is not UNSET:
             return InputAlternatives(tuple(self.any_of))
-        return PredicateForm(given(self.type), self.rate, self.qos, self.where).predicate()
+        return PredicateForm(given(self.type), self.rate, self.qos, self.where, self.within).predicate()
 
 
 AnyAssumption: TypeAlias = Annotated[

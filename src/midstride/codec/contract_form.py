@@ -13,7 +13,7 @@ from functools import reduce
 from typing import Annotated, Any, ClassVar, TypeAlias
 
 import msgspec
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.form import (
     END,
@@ -118,6 +118,16 @@ MessageType: TypeAlias = Annotated[
         pattern=f"^{TOKEN}/(msg/)?{TOKEN}{END}",
     ),
 ]
+AnyType: TypeAlias = Annotated[
+    str,
+    field(
+        "a type",
+        "the type of a message, pkg/msg/Type or pkg/Type, of a service, pkg/srv/Type, or of a ROS action, pkg/action/Type",
+        help="write it as `std_msgs/msg/String` or `std_srvs/srv/Trigger`",
+        min_length=1,
+        pattern=f"^{TOKEN}/((msg|srv|action)/)?{TOKEN}{END}",
+    ),
+]
 Rate: TypeAlias = Annotated[float, field("a rate in Hz", "in Hz, at least", gt=0, le=LARGEST)]
 FieldPath: TypeAlias = Annotated[
     str, field("the path of a field", help="write it as `header.frame_id`", pattern=rf"^[^\W\d]\w*(\.[^\W\d]\w*)*{END}")
@@ -127,15 +137,21 @@ WhereForm: TypeAlias = Annotated[
 ]
 
 
+WithinForm: TypeAlias = Annotated[
+    PositiveSeconds, Meta(description="within which a request is answered, or a goal accepted or rejected")
+]
+
+
 class PredicateForm(Form, frozen=True):
-    """What messages are like: a guarantee, or an assumption."""
+    """What messages are like, or how soon a service or ROS action answers: a guarantee, or an assumption."""
 
     what: ClassVar[str] = "a predicate"
 
-    type: MessageType
+    type: AnyType
     rate: Rate | UnsetType = UNSET
     qos: QoSForm | UnsetType = UNSET
     where: WhereForm | UnsetType = UNSET
+    within: WithinForm | UnsetType = msgspec.field(default=UNSET, name="within_seconds")
 
     @classmethod
     def of(cls, predicate: Predicate) -> PredicateForm:
@@ -147,6 +163,7 @@ class PredicateForm(Form, frozen=True):
             rate=given(self.rate),
             qos=DEFAULT_QOS if self.qos is UNSET else self.qos.qos(),
             fields=() if self.where is UNSET else tuple((path, form.value_set()) for path, form in self.where.items()),
+            within=given(finite(self.within)),
         )
 
 
@@ -157,4 +174,5 @@ def predicate_keys(predicate: Predicate) -> dict[str, Any]:
         "rate": stated(predicate.rate),
         "qos": UNSET if predicate.qos == DEFAULT_QOS else QoSForm.of(predicate.qos),
         "where": {path: ValuesForm.of(values) for path, values in predicate.fields} or UNSET,
+        "within": stated(predicate.within),
     }

@@ -2,6 +2,8 @@
 
     {"system": "demo",
      "topics":      {"/chatter": {"type": "std_msgs/msg/String", "rate": 10, "qos": {"depth": 5}, "max_publishers": 1}},
+     "services":    {"/map": {"type": "nav_msgs/srv/GetMap", "within_seconds": 0.05}},
+     "actions":     {"/dock": {"type": "nav2_msgs/action/DockRobot"}},
      "resources":   {"gpu_memory": {"capacity": 8192}},
      "environment": {"camera": {"guarantee": {"type": …}}, "recording": {"guarantee": {…}, "topic": "/odom"}},
      "components":  {"Talker": …},
@@ -19,14 +21,25 @@ declared makes sense is for :mod:`midstride.model.specification_checks` to judge
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, TypeAlias
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Final, TypeAlias
 
+import msgspec
 from immutables import Map
 from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.component_form import ComponentForm
-from midstride.codec.contract_form import PredicateForm, predicate_keys
+from midstride.codec.contract_form import (
+    MessageType,
+    PredicateForm,
+    QoSForm,
+    Rate,
+    WhereForm,
+    WithinForm,
+    predicate_keys,
+)
 from midstride.codec.form import (
+    END,
     LARGEST,
     TOKEN,
     Document,
@@ -48,33 +61,114 @@ from midstride.codec.form import (
 from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
+from midstride.model.contract import ConnectorKind, Predicate
 from midstride.model.name_checks import specification_names
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.specification import ChangeRequirement, Constraint, Keep, Limit, Node, Order, Specification
 
 TopicName: TypeAlias = Annotated[str, field("the name of a topic", min_length=1)]
+GraphName: TypeAlias = Annotated[TopicName, Meta(description="the name in the ROS graph, where it differs")]
+ServiceType: TypeAlias = Annotated[
+    str,
+    field(
+        "a service type",
+        "the type of the service, pkg/srv/Type",
+        help="write it as `std_srvs/srv/Trigger`",
+        pattern=f"^{TOKEN}/srv/{TOKEN}{END}",
+    ),
+]
+ActionType: TypeAlias = Annotated[
+    str,
+    field(
+        "an action type",
+        "the type of the ROS action, pkg/action/Type",
+        help="write it as `nav2_msgs/action/Spin`",
+        pattern=f"^{TOKEN}/action/{TOKEN}{END}",
+    ),
+]
 
 
-class TopicForm(PredicateForm, frozen=True):
+class TopicForm(Form, frozen=True):
     """A topic: its contract, and how many may publish on it."""
 
     what: ClassVar[str] = "a topic"
 
+    type: MessageType
+    rate: Rate | UnsetType = UNSET
+    qos: QoSForm | UnsetType = UNSET
+    where: WhereForm | UnsetType = UNSET
     max_publishers: Annotated[int, field("the number of publishers allowed", ge=0)] | UnsetType = UNSET
-    topic: Annotated[TopicName, Meta(description="the name in the ROS graph, where it differs")] | UnsetType = UNSET
+    topic: GraphName | UnsetType = UNSET
 
     @classmethod
     def of_connector(cls, connector: Connector) -> TopicForm:
+        stated_keys = predicate_keys(connector.guarantee)
         return cls(
-            **predicate_keys(connector.guarantee),
+            **{key: value for key, value in stated_keys.items() if key != "within"},
             max_publishers=stated(connector.max_publishers),
-            topic=UNSET if connector.topic == connector.name else connector.topic,
+            topic=_other_name(connector),
         )
 
     def connector(self, name: str) -> Connector:
-        return Connector(
-            name, self.predicate(), max_publishers=given(finite(self.max_publishers)), topic=given(self.topic) or ""
-        )
+        predicate = PredicateForm(self.type, self.rate, self.qos, self.where).predicate()
+        return Connector(name, predicate, given(finite(self.max_publishers)), given(self.topic) or "")
+
+
+class ServiceForm(Form, frozen=True):
+    """A service: its type, and within what time (s) requests are answered."""
+
+    what: ClassVar[str] = "a service"
+
+    type: ServiceType
+    within: WithinForm | UnsetType = msgspec.field(default=UNSET, name="within_seconds")
+    service: GraphName | UnsetType = UNSET
+
+    @classmethod
+    def of_connector(cls, connector: Connector) -> ServiceForm:
+        return cls(connector.guarantee.type, stated(connector.guarantee.within), _other_name(connector))
+
+    def connector(self, name: str) -> Connector:
+        predicate = Predicate(self.type, within=given(finite(self.within)))
+        return Connector(name, predicate, topic=given(self.service) or "")
+
+
+class ActionForm(Form, frozen=True):
+    """A ROS action: its type, and within what time (s) goals are accepted or rejected."""
+
+    what: ClassVar[str] = "a ROS action"
+
+    type: ActionType
+    within: WithinForm | UnsetType = msgspec.field(default=UNSET, name="within_seconds")
+    action: GraphName | UnsetType = UNSET
+
+    @classmethod
+    def of_connector(cls, connector: Connector) -> ActionForm:
+        return cls(connector.guarantee.type, stated(connector.guarantee.within), _other_name(connector))
+
+    def connector(self, name: str) -> Connector:
+        predicate = Predicate(self.type, within=given(finite(self.within)))
+        return Connector(name, predicate, topic=given(self.action) or "")
+
+
+CONNECTOR_FORMS: Final[Mapping[ConnectorKind, type[TopicForm | ServiceForm | ActionForm]]] = {
+    "topic": TopicForm,
+    "service": ServiceForm,
+    "action": ActionForm,
+}
+
+
+def of_kind(connectors: Mapping[str, Connector], kind: ConnectorKind) -> dict[str, Connector]:
+    """The connectors of that kind, sorted by name."""
+    return {name: connectors[name] for name in sorted(connectors) if connectors[name].kind == kind}
+
+
+def _connector_forms(specification: Specification, kind: ConnectorKind) -> dict[str, Any]:
+    form = CONNECTOR_FORMS[kind]
+    return {name: form.of_connector(found) for name, found in of_kind(specification.connectors, kind).items()}
+
+
+def _other_name(connector: Connector) -> str | UnsetType:
+    return UNSET if connector.topic == connector.name else connector.topic
 
 
 class ResourceForm(Form, frozen=True):
@@ -263,6 +357,8 @@ class SpecificationForm(Form, frozen=True):
 
     system: Annotated[str, field("the name of the system", min_length=1, extra_json_schema=named())]
     topics: Annotated[dict[str, TopicForm], field("an object of topics", "the topics, by full name")] = {}
+    services: Annotated[dict[str, ServiceForm], field("an object of services", "the services, by full name")] = {}
+    actions: Annotated[dict[str, ActionForm], field("an object of ROS actions", "the ROS actions, by full name")] = {}
     resources: Annotated[
         dict[str, ResourceForm], field("an object of resources", "what there is a limited amount of")
     ] = {}
@@ -298,7 +394,9 @@ class SpecificationForm(Form, frozen=True):
         timing = {kind: plain(seconds) for kind, seconds in specification.timing.items()}
         return cls(
             system=specification.name,
-            topics={name: TopicForm.of_connector(found) for name, found in sorted(specification.connectors.items())},
+            topics=_connector_forms(specification, "topic"),
+            services=_connector_forms(specification, "service"),
+            actions=_connector_forms(specification, "action"),
             resources={
                 name: ResourceForm(plain(found.capacity)) for name, found in sorted(specification.resources.items())
             },
@@ -318,7 +416,13 @@ class SpecificationForm(Form, frozen=True):
         timing = {} if self.timing_seconds is UNSET else encode(self.timing_seconds)
         return Specification(
             name=self.system,
-            connectors=Map({name: form.connector(name) for name, form in self.topics.items()}),
+            connectors=Map(
+                {
+                    name: form.connector(name)
+                    for forms in (self.topics, self.services, self.actions)
+                    for name, form in forms.items()
+                }
+            ),
             components=Map({name: form.component(name) for name, form in self.components.items()}),
             nodes=Map({role: form.node(role) for role, form in self.nodes.items()}),
             environment=tuple(

@@ -36,7 +36,7 @@ _WITHOUT_ERRORS = frozenset({"W031", "W032", "W033", "W034"})
 _NEED_CONTRACTS = frozenset({"E011", "E012", "W032"})
 _NEED_MODES = frozenset({"E010", "E011", "E012", "E015", "W032"})
 # The statements that declare the entries of these sections of the JSON form.
-_PORTS = ("input", "output")
+_PORTS = ("input", "output", "client", "server", "action")
 _KEYWORDS = {"inputs": _PORTS, "outputs": _PORTS, "functionalities": ("functionality",), "parameters": ("parameters",)}
 # Reported while the text is resolved, at a more precise place.
 _CHECKED_HERE = frozenset({"E016"})
@@ -113,6 +113,8 @@ class _SpecificationBuilder:
         connectors: dict[str, Connector] = {}
         for name, topic in self.declarations.topics.items():
             guarantee = self.contracts.predicate(topic.contract, "a topic's contract")
+            if topic.contract is not None:
+                self.contracts.of_kind(guarantee, topic.kind, topic.contract.span, f"{topic.kind} {topic.name.text}")
             if guarantee is None:
                 self.unresolved_topics.add(name)
             max_publishers = None if topic.max_publishers is None else int(topic.max_publishers.value)
@@ -199,7 +201,7 @@ class _SpecificationBuilder:
             return problem.code == "E013" and (unresolved.may_declare("functionality") or bool(unresolved.incomplete))
         if kind == "nodes":
             return self._node_may_follow(problem, specification)
-        if kind == "topics" and name in self.unresolved_topics:
+        if kind in {"topics", "services", "actions"} and name in self.unresolved_topics:
             return True
         return problem.code == "W031" and files_missing
 

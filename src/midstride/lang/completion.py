@@ -23,7 +23,10 @@ _TOP_LEVEL: Final = tuple(word for word, where in KEYWORD_PLACES.items() if wher
 _STATEMENTS: Final = {
     "": (*_TOP_LEVEL, "parameters"),
     "namespace": (*_TOP_LEVEL, "parameters"),
-    "component": ("run", "holds", "input", "output", "allows", "functionality", "parameters", "environment"),
+    "component": (
+        *(word for word, where in KEYWORD_PLACES.items() if where == "in a component"),
+        *("action server", "action client", "parameters", "environment"),
+    ),
     "functionality": ("uses", "produces", "mode"),
     "mode": ("assume", "guarantee", "parameters"),
     "node": ("parameters", *RESPAWN_WORDS),

@@ -29,8 +29,9 @@ from midstride.model.component import (
     ParameterSpec,
     StopTimes,
 )
-from midstride.model.contract import Predicate
+from midstride.model.contract import ConnectorKind, Predicate
 from midstride.model.near_miss import did_you_mean
+from midstride.model.wording import KIND_WORDS
 
 T = TypeVar("T")
 Inputs: TypeAlias = Mapping[str, Predicate]  # of a component, by name
@@ -170,6 +171,8 @@ class ComponentBuilder:
         for declared in declaration.inputs:
             predicate = self.contracts.predicate(declared.contract, "the assumption of an input")
             name = declared.name.text
+            word = KIND_WORDS[declared.kind].input
+            self.contracts.of_kind(predicate, declared.kind, declared.contract.span, f"{word} {name}")
             if predicate is None:
                 unresolved.ports.add(name)
                 using = (f for f in declaration.functionalities if any(used.text == name for used in f.uses))
@@ -236,6 +239,9 @@ class ComponentBuilder:
                 unresolved.functionalities.add(functionality)
                 unresolved.ports.add(guarantee.output.text)
                 contract = UNRESOLVED
+            elif (kind := self._served_as(component, guarantee.output.text)) is not None:
+                word = f"{KIND_WORDS[kind].output} {guarantee.output.text}"
+                self.contracts.of_kind(contract, kind, guarantee.contract.span, word)
             if isinstance(contract, Predicate):
                 guarantees.setdefault(guarantee.output.text, contract)
         assumptions: list[Assumption] = []
@@ -246,6 +252,13 @@ class ComponentBuilder:
             assumptions.append(assumption or UNRESOLVED)
         parameters = Map({entry.name.text: entry.value.value for entry in mode.parameters})
         return Mode(mode.name.text, tuple(assumptions), Map(guarantees), parameters)
+
+    def _served_as(self, component: str, output: str) -> ConnectorKind | None:
+        """The kind that an output is declared as; None where it is not declared."""
+        declared = self.merged[component]
+        if all(name.text != output for name in declared.outputs):
+            return None
+        return next((served.kind for served in declared.served if served.name.text == output), "topic")
 
     def _assumption(self, assumed: syntax.AssumptionExpression, component: str, inputs: Inputs) -> Assumption | None:
         if isinstance(assumed, syntax.NamedAssumption):
@@ -295,6 +308,7 @@ def _inherited(base: syntax.ComponentDeclaration, own: syntax.ComponentDeclarati
         functionalities=merged(_name, base.functionalities, own.functionalities),
         topics=merged(_name, base.topics, own.topics),
         lazy=merged(lambda name: name, _not_stated_again(base.lazy, own.outputs), own.lazy),
+        served=merged(_name, _served_again(base.served, own.outputs), own.served),
     )
 
 
@@ -302,6 +316,12 @@ def _not_stated_again(lazy: tuple[syntax.Name, ...], outputs: tuple[syntax.Name,
     """An output is one part: one that is stated again is lazy only where that says so."""
     stated = {output.text for output in outputs}
     return tuple(output for output in lazy if output.text not in stated)
+
+
+def _served_again(served: tuple[syntax.Served, ...], outputs: tuple[syntax.Name, ...]) -> tuple[syntax.Served, ...]:
+    """As with lazy outputs: one that is stated again is a server only where that says so."""
+    stated = {output.text for output in outputs}
+    return tuple(each for each in served if each.name.text not in stated)
 
 
 def _stop_times(stop: syntax.StopClause) -> StopTimes:

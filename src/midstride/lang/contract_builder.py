@@ -13,9 +13,11 @@ from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.message_types import MessageDefinition, MessageTypes, MissingField, field_kind
 from midstride.lang.parse_contract import SECONDS
 from midstride.lang.source import Span
-from midstride.lang.syntax import ContractDeclaration, ContractExpression, FieldConstraint, Name, QoSPolicy
+from midstride.lang.syntax import BoundClause, ContractDeclaration, ContractExpression, FieldConstraint, Name, QoSPolicy
 from midstride.model.contract import (
+    BOUND_WORDS,
     NOTHING,
+    ConnectorKind,
     Contract,
     Durability,
     HistoryPolicy,
@@ -27,8 +29,10 @@ from midstride.model.contract import (
     Reliability,
     ValueSet,
     canonical_type,
+    connector_kind,
 )
 from midstride.model.near_miss import did_you_mean
+from midstride.model.wording import KIND_WORDS, indefinite
 
 # The values of the QoS policies that are enumerations.
 POLICY_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
@@ -77,10 +81,11 @@ class ContractResolver:
         """What an expression states, or None if it cannot be resolved."""
         if expression is None:
             return None
-        base, plain = expression.base, not expression.qos and not expression.where
+        base = expression.base
+        plain = not expression.qos and not expression.where and expression.bound is None
         if base is None:
             if expression.rate or not plain:
-                message = "`nothing` has no rate, QoS or fields"
+                message = "`nothing` has no rate, QoS, fields or bound"
                 self.reporter.report("E135", expression.span, message, help="write `nothing` alone")
             return NOTHING
         if "/" in base.text:
@@ -92,18 +97,42 @@ class ContractResolver:
         else:
             named = self._named(base.text, base.span)
             if named is NOTHING and not (plain and expression.rate is None):
-                self.reporter.report("E135", expression.span, "`nothing` has no rate, QoS or fields")
+                self.reporter.report("E135", expression.span, "`nothing` has no rate, QoS, fields or bound")
             if not isinstance(named, Predicate):
                 self._fields(expression, None, {})
                 return named
             predicate = named if expression.rate is None else replace(named, rate=expression.rate.value)
         if plain:
             return predicate
+        if expression.bound is not None:
+            predicate = self._bounded(predicate, expression.bound)
         qos = self._qos(expression.qos, predicate.qos)
         fields = self._fields(expression, predicate.type, dict(predicate.fields))
         if fields is None:
             return None
         return replace(predicate, qos=qos, fields=tuple(fields.items()))
+
+    def _bounded(self, predicate: Predicate, bound: BoundClause) -> Predicate:
+        """The predicate with its bound; reports one in the words of another kind."""
+        word = BOUND_WORDS[predicate.kind]
+        if predicate.kind != "topic" and bound.word.text != word:
+            what = KIND_WORDS[predicate.kind].connector
+            message = f"{predicate.type} is the type of {indefinite(what)}, which `{word}`"
+            self.reporter.report(
+                "E147", bound.word.span, message, help=f"write `{word} within {bound.seconds.span.text}`"
+            )
+        return replace(predicate, within=bound.seconds.value)
+
+    def of_kind(self, contract: Contract | None, kind: ConnectorKind, span: Span, declared: str) -> None:
+        """Report a contract of another kind than what is ``declared``, such as `topic /map`."""
+        if not isinstance(contract, Predicate) or not contract.type or contract.kind == kind:
+            return
+        words, own = KIND_WORDS[contract.kind], KIND_WORDS[kind]
+        instead = {own.connector.removeprefix("ROS "): words.connector.removeprefix("ROS "), own.output: words.output}
+        instead[own.input] = words.input
+        word, _, rest = declared.rpartition(" ")
+        message = f"{contract.type} is the type of {indefinite(words.connector)}, and `{declared}` is none"
+        self.reporter.report("E147", span, message, help=f"write `{instead[word]} {rest}`")
 
     # -- names and types -------------------------------------------------------------------------------
 
@@ -149,11 +178,13 @@ class ContractResolver:
         full_name = canonical_type(name.text)
         if self._type(full_name) is not False:
             return True
-        package, _, rest = full_name.partition("/msg/")
+        package, folder, rest = full_name.split("/")
         assert self.messages is not None
-        types = tuple(self.messages.types(package))
+        types = tuple(self.messages.types(package, folder))
         help = did_you_mean(rest, types) or f"its types: {', '.join(types[:8])}{', …' if len(types) > 8 else ''}"
-        self.reporter.report("E130", name.span, f"package `{package}` has no message type `{rest}`", help=help)
+        what = {"msg": "message"}.get(folder) or KIND_WORDS[connector_kind(full_name)].connector
+        message = f"package `{package}` has no {what} type `{rest}`"
+        self.reporter.report("E130", name.span, message, help=help if types else None)
         return False
 
     def _type(self, name: str) -> MessageDefinition | bool:
@@ -162,7 +193,7 @@ class ContractResolver:
             return True
         if name not in self._types:
             found = self.messages.message(name)
-            self._types[name] = found or not any(True for _ in self.messages.types(name.partition("/")[0]))
+            self._types[name] = found or not any(True for _ in self.messages.types(*name.split("/")[:2]))
         return self._types[name]
 
     # -- QoS ---------------------------------------------------------------------------------------------

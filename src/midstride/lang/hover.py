@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from midstride.lang.index import Symbol
 from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, InputAlternatives
 from midstride.model.configuration import Configuration
-from midstride.model.contract import NOTHING, format_number
+from midstride.model.contract import NOTHING, connector_kind, format_number
 from midstride.model.diagnosis import reasons_against
 from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification, initial
+from midstride.model.wording import KIND_WORDS, counted
 
 
 def hover(symbol: Symbol, specification: Specification, *, runnable: bool) -> str | None:
@@ -32,13 +33,14 @@ class _Hover:
         if connector is None:
             return
         limit = connector.max_publishers
-        most = "" if limit is None else f" (at most {limit} publisher{'' if limit == 1 else 's'})"
+        most = "" if limit is None else f" (at most {counted(limit, KIND_WORDS[connector.kind].provider)})"
         yield f"`{connector.guarantee}`{most}"
         if self.configuration is None:
             return
         publishers = self.configuration.publishers_on(symbol.name)
         subscribers = self.configuration.subscribers_on(symbol.name)
-        for what, ports in (("published", publishers), ("subscribed", subscribers)):
+        words = ("published", "subscribed") if connector.kind == "topic" else ("served", "called")
+        for what, ports in zip(words, (publishers, subscribers), strict=True):
             if ports:
                 yield f"{what} by {', '.join(f'`{port}`' for port in sorted(ports))}"
         evaluator = Evaluator(self.configuration)
@@ -58,10 +60,11 @@ class _Hover:
         for name, value in component.environment.items():
             yield f"without the variable `{name}`" if value is None else f"with `{name}={value}`"
         for name in component.input_order:
-            yield f"input `{name} : {component.inputs[name]}`{_tolerance(component, name)}"
+            yield f"{KIND_WORDS[component.inputs[name].kind].input} `{name} : {component.inputs[name]}`{_tolerance(component, name)}"
         for name in component.outputs:
             owner = component.find_owner(name)
-            yield f"output `{name} : {owner.modes[0].guarantee(name) if owner and owner.modes else NOTHING}`"
+            word = KIND_WORDS[connector_kind(component.type_of(name) or "")].output
+            yield f"{word} `{name} : {owner.modes[0].guarantee(name) if owner and owner.modes else NOTHING}`"
         for functionality in component:
             yield f"functionality `{functionality.name}`: {', '.join(mode.name for mode in functionality.modes)}"
 

@@ -1,8 +1,8 @@
 """Known message types, so that misspelt types and fields are found before anything runs.
 
-The checker uses :class:`MessageTypes`. :func:`installed` reads the interface files of installed message packages
-(``share/<package>/msg``, the layout of ROS 2 and ROS 1) and, for other packages, the type store of ``rosbags``. No ROS
-library is imported.
+The checker uses :class:`MessageTypes`. :func:`installed` reads the interface files of installed packages
+(``share/<package>/msg``, ``srv`` and ``action``, the layout of ROS 2 and ROS 1) and, for messages of other packages,
+the type store of ``rosbags``. No ROS library is imported.
 """
 
 from __future__ import annotations
@@ -46,8 +46,9 @@ class MessageTypes(Protocol):
     def message(self, name: str) -> MessageDefinition | None:
         """The type with that canonical name; None if it is unknown."""
 
-    def types(self, package: str) -> Iterable[str]:
-        """The names (``Image``) of the package's message types; empty if the package is unknown."""
+    def types(self, package: str, folder: str = "msg") -> Iterable[str]:
+        """The names (``Image``) of the package's types in that folder, ``msg``, ``srv`` or ``action``; empty if the
+        package is unknown."""
 
 
 class MissingField(NamedTuple):
@@ -80,29 +81,31 @@ class InstalledTypes:
     def __init__(self, folders: Iterable[Path], fallback: Callable[[], MessageTypes]) -> None:
         self._folders = tuple(folders)
         self._fallback = cache(fallback)
-        self._folder = cache(self._find_folder)
+        self._folder: Callable[[str, str], Path | None] = cache(self._find_folder)
         self.message = cache(self._find)
 
-    def types(self, package: str) -> Iterable[str]:
-        folder = self._folder(package)
-        if folder is None:
-            return self._fallback().types(package)
-        return sorted(path.stem for path in folder.glob("*.msg"))
+    def types(self, package: str, folder: str = "msg") -> Iterable[str]:
+        found = self._folder(package, folder)
+        if found is None:
+            return self._fallback().types(package, folder)
+        return sorted(path.stem for path in found.glob(f"*.{folder}"))
 
-    def _find_folder(self, package: str) -> Path | None:
-        candidates = (folder / package / "msg" for folder in self._folders)
-        return next((folder for folder in candidates if any(folder.glob("*.msg"))), None)
+    def _find_folder(self, package: str, folder: str) -> Path | None:
+        candidates = (share / package / folder for share in self._folders)
+        return next((each for each in candidates if any(each.glob(f"*.{folder}"))), None)
 
     def _find(self, name: str) -> MessageDefinition | None:
-        package, _, rest = canonical_type(name).partition("/msg/")
-        folder = self._folder(package)
+        package, kind, rest = canonical_type(name).split("/")
+        folder = self._folder(package, kind)
         if folder is None:
             return self._fallback().message(name)
         try:
-            with open(folder / f"{rest}.msg", encoding="utf-8", errors="replace") as stream:
+            with open(folder / f"{rest}.{kind}", encoding="utf-8", errors="replace") as stream:
                 text = stream.read(_LARGEST)
         except OSError:
             return None
+        if kind != "msg":
+            return MessageDefinition(name)  # of which no field can be constrained
         return MessageDefinition(name, parse_fields(text, package), parse_constants(text))
 
 
@@ -145,8 +148,8 @@ class _Rosbags:
             name, {field: _rosbags_kind(kind) for field, kind in fields}, {c: str(value) for c, _, value in constants}
         )
 
-    def types(self, package: str) -> Iterable[str]:
-        prefix = f"{package}/msg/"
+    def types(self, package: str, folder: str = "msg") -> Iterable[str]:
+        prefix = f"{package}/{folder}/"
         return sorted(name.removeprefix(prefix) for name in self._fields if name.startswith(prefix))
 
 

@@ -9,7 +9,9 @@ from midstride.lang import syntax
 from midstride.lang.blocks import Handlers
 from midstride.lang.parse_contract import ContractParser
 from midstride.model.component import GATES
+from midstride.model.contract import ConnectorKind
 from midstride.model.near_miss import nearest
+from midstride.model.wording import KIND_WORDS, indefinite
 
 ENDPOINT_KINDS = ("topic", "service", "ROS action")
 _MODE_WORDS: Final = ("assume", "guarantee", "parameters")
@@ -34,6 +36,7 @@ class ComponentParser(ContractParser):
         functionalities: list[syntax.FunctionalityDeclaration] = []
         topics: list[syntax.OwnTopic] = []
         lazy: list[syntax.Name] = []
+        served: list[syntax.Served] = []
         unread_parameters: set[str] = set()
         handlers: Handlers = {
             "run": lambda start: runs.append(self._run(start)),
@@ -42,6 +45,9 @@ class ComponentParser(ContractParser):
             "environment": lambda start: unread_parameters.update(self._variables(start, environment)),
             "input": lambda _: inputs.append(self._input(topics)),
             "output": lambda _: outputs.append(self._output(topics, lazy)),
+            "client": lambda _: inputs.append(self._client("service", topics)),
+            "server": lambda _: outputs.append(self._server("service", topics, served)),
+            "action": lambda _: self._action_port(inputs, outputs, topics, served),
             "allows": lambda _: allows.append(self._allows()),
             "functionality": lambda start: functionalities.append(self._functionality(start)),
         }
@@ -62,6 +68,7 @@ class ComponentParser(ContractParser):
             tuple(functionalities),
             tuple(topics),
             tuple(lazy),
+            tuple(served),
             skipped | {"parameters"} if unread_parameters else skipped,
         )
 
@@ -147,6 +154,41 @@ class ComponentParser(ContractParser):
         self._own_topic(name, topics)
         return syntax.InputDeclaration(name, contract, tolerated, condition)
 
+    def _client(self, kind: ConnectorKind, topics: list[syntax.OwnTopic]) -> syntax.InputDeclaration:
+        words = KIND_WORDS[kind].input
+        self.layout.marks[self.i] = "port"
+        name = self.name(f"the name of {indefinite(words)}", (":",))
+        self.layout.marks[self.i] = "input :"
+        self.expect(":", f"after {words} `{name.text}`", ("name", "path"))
+        contract = self.contract(f"for {words} `{name.text}`")
+        self._own_topic(name, topics)
+        return syntax.InputDeclaration(name, contract, None, None, kind)
+
+    def _server(self, kind: ConnectorKind, topics: list[syntax.OwnTopic], served: list[syntax.Served]) -> syntax.Name:
+        self.layout.marks[self.i] = "port"
+        name = self.name(f"the name of {indefinite(KIND_WORDS[kind].output)}", ("server", ":"))
+        self._no_contract(name, KIND_WORDS[kind].output)
+        self._own_topic(name, topics)
+        served.append(syntax.Served(name, kind))
+        return name
+
+    def _action_port(
+        self,
+        inputs: list[syntax.InputDeclaration],
+        outputs: list[syntax.Name],
+        topics: list[syntax.OwnTopic],
+        served: list[syntax.Served],
+    ) -> None:
+        """``action server NAME`` or ``action client NAME : CONTRACT``."""
+        if self.accept_word("client"):
+            inputs.append(self._client("action", topics))
+        elif self.accept_word("server"):
+            outputs.append(self._server("action", topics, served))
+        else:
+            raise self.fail(
+                "`server` or `client` after `action`", "write `action server NAME` or `action client NAME : …`"
+            )
+
     def _own_topic(self, port: syntax.Name, topics: list[syntax.OwnTopic]) -> None:
         if self.accept_word("as"):
             topics.append(syntax.OwnTopic(port, self.topic(f"the program's name for the topic of `{port.text}`")))
@@ -163,17 +205,21 @@ class ComponentParser(ContractParser):
     def _output(self, topics: list[syntax.OwnTopic], lazy: list[syntax.Name]) -> syntax.Name:
         self.layout.marks[self.i] = "port"
         name = self.name("an output name", ("output", ":"))
-        if self.kinds[self.i] == ":":
-            help = f"state it in the modes: `guarantee {name.text} : …`"
-            message = f"the declaration of output `{name.text}` cannot state a contract"
-            self.reporter.report("E120", self.span(), message, help=help)
-            self.i += 1
-            self.contract(f"for output `{name.text}`")
+        self._no_contract(name, "output")
         self._own_topic(name, topics)
         if self.at_word("lazy"):
             lazy.append(syntax.Name(name.text, self.span()))
             self.i += 1
         return name
+
+    def _no_contract(self, name: syntax.Name, kind: str) -> None:
+        """Report a contract in the declaration of an output."""
+        if self.kinds[self.i] == ":":
+            help = f"state it in the modes: `guarantee {name.text} : …`"
+            message = f"the declaration of {kind} `{name.text}` cannot state a contract"
+            self.reporter.report("E120", self.span(), message, help=help)
+            self.i += 1
+            self.contract(f"for {kind} `{name.text}`")
 
     def _allows(self) -> syntax.AllowedEndpoint:
         if self.kinds[self.i] == "string":

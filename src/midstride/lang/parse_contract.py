@@ -10,13 +10,13 @@ from midstride.lang import syntax
 from midstride.lang.blocks import BlockParser
 from midstride.lang.token_stream import Panic
 from midstride.model.component import ParameterValue
-from midstride.model.contract import Scalar
+from midstride.model.contract import BOUND_WORDS, Scalar
 from midstride.model.near_miss import nearest
 
 HERTZ: Final = {"Hz": 1.0, "kHz": 1000.0}
 SECONDS: Final = {"s": 1.0, "ms": 0.001, "us": 0.000001, "min": 60.0}
 
-_TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(msg/)?[A-Za-z][A-Za-z0-9_]*")
+_TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/((msg|srv|action)/)?[A-Za-z][A-Za-z0-9_]*")
 _COMPARISONS: Final = frozenset({"=", "<", "<=", ">", ">=", "==", "!="})
 # As the value of a parameter; elsewhere, `-inf` is a number that is too large.
 _NOT_FINITE: Final = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
@@ -27,12 +27,13 @@ class ContractParser(BlockParser):
     """The part of the parser for contracts and values."""
 
     def contract(self, what: str) -> syntax.ContractExpression:
-        """``TYPE or NAME [@ r Hz] [qos(…)] [where …]``, or ``nothing``."""
+        """``TYPE or NAME [@ r Hz] [qos(…)] [where …] [responds within s]``, or ``nothing``."""
         start = self.i
         base = self._base(what)
         rate: syntax.Number | None = None
         qos: tuple[syntax.QoSPolicy, ...] = ()
         where: tuple[syntax.FieldConstraint, ...] = ()
+        bound: syntax.BoundClause | None = None
         stated: set[str] = set()
         while True:
             kind = self.kinds[self.i]
@@ -49,19 +50,35 @@ class ContractParser(BlockParser):
                     qos = self._qos()
                 else:
                     where = self.sequence(self._constraint, self._constraint_at)
+            elif word in BOUND_WORDS.values() and self.texts[self.i + 1] == "within":
+                if bound is not None:
+                    message = "this contract already has a bound"
+                    self.reporter.report("E128", self.span(), message, help="keep one of them")
+                bound = self._bound()
             elif kind == "number" and "rate" not in stated and self.texts[self.i + 1] in HERTZ:
                 help = f"write `@ {self.texts[self.i]} {self.texts[self.i + 1]}`"
                 self.reporter.report("E120", self.span(), "expected `@` before the rate", help=help)
                 stated.add("rate")
                 rate = self.rate()
             else:
-                return syntax.ContractExpression(self.since(start), base, rate, qos, where)
+                return syntax.ContractExpression(self.since(start), base, rate, qos, where, bound)
+
+    def _bound(self) -> syntax.BoundClause:
+        start = self.i
+        word = self.take()
+        self.i += 1
+        seconds = self.seconds(f"a time after `{word.text} within`")
+        if seconds.value <= 0:
+            message = "a bound must be greater than 0 s"
+            self.reporter.report("E126", seconds.span, message, help="leave it out if none is required")
+            seconds = syntax.Number(1.0, seconds.span)
+        return syntax.BoundClause(word, seconds, self.since(start))
 
     def _base(self, what: str) -> syntax.Name | None:
         if self.kinds[self.i] == "path":
             name = self.take()
             if not _TYPE.fullmatch(name.text):
-                help = "message types are written `pkg/msg/Type` or `pkg/Type`"
+                help = "types are written `pkg/msg/Type` or `pkg/Type`, `pkg/srv/Type` or `pkg/action/Type`"
                 self.reporter.report("E133", name.span, f"`{name.text}` is not a message type", help=help)
                 raise Panic
             return name

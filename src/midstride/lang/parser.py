@@ -16,6 +16,8 @@ from midstride.lang.lexer import tokenize
 from midstride.lang.parse_component import ComponentParser
 from midstride.lang.source import Source
 from midstride.lang.token_stream import RESPAWN_WORDS, Panic
+from midstride.model.contract import ConnectorKind
+from midstride.model.wording import KIND_WORDS, indefinite
 
 MAX_NESTING: Final = 16
 
@@ -49,7 +51,9 @@ class Parser(ComponentParser):
         return {
             "include": lambda _: items.append(self._include()),
             "contract": lambda start: items.append(self._contract(start)),
-            "topic": lambda start: items.append(self._topic(start)),
+            "topic": lambda start: items.append(self._topic(start, "topic")),
+            "service": lambda start: items.append(self._topic(start, "service")),
+            "action": lambda start: items.append(self._topic(start, "action")),
             "resource": lambda _: items.append(self._resource()),
             "environment": lambda start: self._environment(start, items),
             "component": lambda start: items.append(self.component(start)),
@@ -84,19 +88,20 @@ class Parser(ComponentParser):
             self._skip_statement(start)
             return syntax.ContractDeclaration(name, None)
 
-    def _topic(self, start: int) -> syntax.TopicDeclaration:
-        name = self.topic("a topic name")
+    def _topic(self, start: int, kind: ConnectorKind) -> syntax.TopicDeclaration:
+        what = KIND_WORDS[kind].connector
+        name = self.topic(f"{indefinite(what)} name")
         limits: list[syntax.Number] = []
         self.layout.marks[self.i] = "topic :"
         try:
-            self.expect(":", f"after topic `{name.text}`", ("path", "name"))
-            contract = self.contract(f"for topic `{name.text}`")
-            if self.kinds[self.i] == "{":
+            self.expect(":", f"after {what} `{name.text}`", ("path", "name"))
+            contract = self.contract(f"for {what} `{name.text}`")
+            if self.kinds[self.i] == "{" and kind == "topic":
                 self.block(f"topic `{name.text}`", start, {}, lambda: self._publishers(limits))
         except Panic:
             self._skip_statement(start)
-            return syntax.TopicDeclaration(name, None, None)
-        return syntax.TopicDeclaration(name, contract, limits[0] if limits else None)
+            return syntax.TopicDeclaration(name, None, None, kind)
+        return syntax.TopicDeclaration(name, contract, limits[0] if limits else None, kind)
 
     def _publishers(self, limits: list[syntax.Number]) -> bool:
         if not self.at_word("publishers"):

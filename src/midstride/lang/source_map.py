@@ -35,7 +35,7 @@ class SourceMap:
                 return _component(self.merged[name], rest)
             case ("nodes", role, *rest) if role in found.nodes:
                 return self._node(role, rest)
-            case ("topics", name, *rest) if name in found.topics:
+            case ("topics" | "services" | "actions", name, *rest) if name in found.topics:
                 topic = found.topics[name]
                 if rest[:1] == ["max_publishers"] and topic.max_publishers is not None:
                     return topic.max_publishers.span
@@ -203,6 +203,8 @@ def _contract(contract: syntax.ContractExpression | None, rest: Subject, whole: 
         case ["qos", *inner] if contract.qos:
             name = inner[0] if inner else ""
             return next((p for p in contract.qos if name.startswith(p.name.text)), contract.qos[0]).value.span
+        case ["within_seconds", *_] if contract.bound is not None:
+            return contract.bound.span
         case ["where", path, *_]:
             return next((c.span for c in contract.where if c.path.text == path), contract.span)
     return contract.span

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol, TypeAlias, TypeVar
 from midstride.lang.lexer import Tokens
 from midstride.lang.source import Span
 from midstride.model.component import ParameterValue
-from midstride.model.contract import Scalar
+from midstride.model.contract import ConnectorKind, Scalar
 
 
 class Name(NamedTuple):
@@ -76,19 +76,28 @@ class QoSPolicy(NamedTuple):
     unit: Name | None
 
 
+class BoundClause(NamedTuple):
+    """``responds within SECONDS`` or ``accepts within SECONDS``."""
+
+    word: Name
+    seconds: Number
+    span: Span
+
+
 class ContractExpression(NamedTuple):
-    """A message type or a named contract, with rate, QoS and field constraints. ``base`` None: `nothing`."""
+    """A type or a named contract, with rate, QoS, field constraints and bound. ``base`` None: `nothing`."""
 
     span: Span
     base: Name | None
     rate: Number | None = None
     qos: tuple[QoSPolicy, ...] = ()
     where: tuple[FieldConstraint, ...] = ()
+    bound: BoundClause | None = None
 
     @property
     def is_bare_name(self) -> bool:
         """Whether it is a single name, as an input's name would be."""
-        plain = self.rate is None and not self.qos and not self.where
+        plain = self.rate is None and not self.qos and not self.where and self.bound is None
         return plain and self.base is not None and "/" not in self.base.text
 
 
@@ -140,10 +149,20 @@ class ParameterEntry(NamedTuple):
 
 
 class InputDeclaration(NamedTuple):
+    """``input NAME : CONTRACT``, or ``client NAME : CONTRACT``, or ``action client NAME : CONTRACT``."""
+
     name: Name
     contract: ContractExpression
     tolerates: Number | None
     condition: Span | None
+    kind: ConnectorKind = "topic"
+
+
+class Served(NamedTuple):
+    """An output that was declared as ``server NAME`` or ``action server NAME``."""
+
+    name: Name
+    kind: ConnectorKind
 
 
 class OwnTopic(NamedTuple):
@@ -204,6 +223,7 @@ class ComponentDeclaration(NamedTuple):
     functionalities: tuple[FunctionalityDeclaration, ...]
     topics: tuple[OwnTopic, ...]
     lazy: tuple[Name, ...]  # outputs
+    served: tuple[Served, ...]  # outputs
     skipped: frozenset[str]  # the first words of the statements that could not be parsed
 
 
@@ -220,9 +240,12 @@ class ContractDeclaration(NamedTuple):
 
 
 class TopicDeclaration(NamedTuple):
+    """``topic NAME : CONTRACT``, or ``service NAME : CONTRACT``, or ``action NAME : CONTRACT``."""
+
     name: Name
     contract: ContractExpression | None
     max_publishers: Number | None
+    kind: ConnectorKind = "topic"
 
 
 class ResourceDeclaration(NamedTuple):

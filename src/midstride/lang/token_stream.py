@@ -24,10 +24,11 @@ RESPAWN_WORDS: Final = ("respawn", "respawn_delay", "respawn_max_retries", "resp
 KEYWORD_PLACES: Final[Mapping[str, str]] = {
     "environment": "at the top level, in a namespace or in a component",
     **dict.fromkeys(
-        "system include contract topic resource component node namespace keep limit order timing changes".split(),
+        "system include contract topic service resource component node namespace keep limit order timing changes".split(),
         "at the top level or in a namespace",
     ),
-    **dict.fromkeys("run holds input output allows functionality".split(), "in a component"),
+    "action": "at the top level, in a namespace or in a component",
+    **dict.fromkeys("run holds input output server client allows functionality".split(), "in a component"),
     "parameters": "in a component, in a mode, in a node or at the top level",
     **dict.fromkeys(RESPAWN_WORDS, "in a node"),
     **dict.fromkeys("uses produces mode".split(), "in a functionality"),

@@ -19,7 +19,7 @@ from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 
 from immutables import Map
 
-from midstride.model.contract import NOTHING, Contract, Predicate, QoS
+from midstride.model.contract import NOTHING, ConnectorKind, Contract, Predicate, QoS
 
 ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
 
@@ -457,8 +457,9 @@ class ComponentSpec:
 
 @dataclass(frozen=True, slots=True)
 class Connector:
-    """A topic: one guarantee, and perhaps a cap on its publishers (docs/semantics.md section 2).
+    """A topic, service or ROS action: one guarantee, and perhaps a cap on its publishers (docs/semantics.md section 2).
 
+    A service or ROS action has at most one server, which counts as its publisher.
     ``name`` is the connector's identity, ``topic`` the name on the wire. They differ only while a topic's contract
     is being changed, when the old and the new connector exist side by side.
     """
@@ -471,6 +472,12 @@ class Connector:
     def __post_init__(self) -> None:
         if not self.topic:
             object.__setattr__(self, "topic", self.name)
+        if self.kind != "topic" and self.max_publishers is None:
+            object.__setattr__(self, "max_publishers", 1)
+
+    @property
+    def kind(self) -> ConnectorKind:
+        return self.guarantee.kind
 
     def same_contract(self, other: Connector) -> bool:
         """Whether both are one topic with one contract; a cap is not part of the contract."""

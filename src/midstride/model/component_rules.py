@@ -12,8 +12,9 @@ from itertools import pairwise
 from typing import Final
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode, ParameterValue
-from midstride.model.contract import OneOf, Predicate, QoS, explain, format_number
+from midstride.model.contract import BOUND_WORDS, DEFAULT_QOS, OneOf, Predicate, QoS, explain, format_number
 from midstride.model.diagnostics import Problem, SubjectPath
+from midstride.model.wording import KIND_WORDS, indefinite
 
 # The largest number that a specification may state, in base units and of either sign; parameters are ROS's to limit.
 MAX_NUMBER: Final = 1e18
@@ -43,7 +44,9 @@ def value_problems(value: ParameterValue, path: SubjectPath) -> Iterator[Problem
 
 
 def predicate_problems(predicate: Predicate, path: SubjectPath) -> Iterator[Problem]:
-    """A predicate needs meaningful numbers, and constraints on fields that some value meets."""
+    """A predicate needs meaningful numbers, constraints on fields that some value meets, and clauses of its kind."""
+    yield from _clauses(predicate, path)
+    yield from number_problems(predicate.within, "a bound", (*path, "within_seconds"))
     yield from number_problems(predicate.rate, "a rate in Hz", (*path, "rate"))
     for name in ("deadline", "lease", "lifespan"):
         yield from number_problems(getattr(predicate.qos, name), f"a {name}", (*path, "qos", f"{name}_seconds"))
@@ -60,6 +63,21 @@ def predicate_problems(predicate: Predicate, path: SubjectPath) -> Iterator[Prob
             yield Problem("E004", where, f"field {field}: a number is beyond {most}", help)
         elif values.is_empty:
             yield Problem("E016", where, f"no value of field {field} meets all its constraints ({values})")
+
+
+def _clauses(predicate: Predicate, path: SubjectPath) -> Iterator[Problem]:
+    """Messages have a rate, QoS and fields; services and ROS actions have a bound."""
+    what = f"{predicate.type} is the type of {indefinite(KIND_WORDS[predicate.kind].connector)}"
+    if predicate.kind == "topic":
+        if predicate.within is not None and predicate.type:
+            help = "state a rate (`@ 10 Hz`), or leave out the bound"
+            yield Problem("E017", (*path, "within_seconds"), f"{what}, which answers no request within a bound", help)
+        return
+    stated = {"rate": predicate.rate is not None, "qos": predicate.qos != DEFAULT_QOS, "where": bool(predicate.fields)}
+    for key, name in (("rate", "rate"), ("qos", "QoS"), ("where", "constraint on a field")):
+        if stated[key]:
+            help = f"state a bound (`{BOUND_WORDS[predicate.kind]} within 0.1 s`), or leave it out"
+            yield Problem("E017", (*path, key), f"{what}, which has no {name}", help)
 
 
 def component_rules(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:

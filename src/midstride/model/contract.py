@@ -1,8 +1,8 @@
-"""Contracts: what the messages on a port are like, and when one contract satisfies another.
+"""Contracts: what travels through a port, and when one contract satisfies another.
 
-A :class:`Predicate` states a message type and, optionally, a rate, a QoS profile and constraints on fields. As a
-*guarantee* it says what is produced, as an *assumption* what is needed. :data:`NOTHING` is the contract of an output
-that produces nothing. ``satisfies`` says whether a guarantee is good enough for an assumption, ``explain`` says clause
+A :class:`Predicate` states a type and, optionally, for messages a rate, a QoS profile and constraints on fields, for a
+service or a ROS action how soon a request is answered. As a *guarantee* it says what is provided, as an *assumption*
+what is needed. :data:`NOTHING` is the contract of an output that provides nothing. ``satisfies`` says whether a guarantee is good enough for an assumption, ``explain`` says clause
 by clause why it is not (docs/semantics.md section 1; the paper's section 5.1, with QoS and fields added).
 """
 
@@ -19,6 +19,20 @@ Reliability: TypeAlias = Literal["reliable", "best_effort"]
 Durability: TypeAlias = Literal["transient_local", "volatile"]
 Liveliness: TypeAlias = Literal["automatic", "manual_by_topic"]
 HistoryPolicy: TypeAlias = Literal["keep_last", "keep_all"]
+
+
+# What a connector is: a topic, or a service or ROS action, where a server is an output and a client an input.
+ConnectorKind: TypeAlias = Literal["topic", "service", "action"]
+_KIND_OF_FOLDER: Final[dict[str, ConnectorKind]] = {"srv": "service", "action": "action"}
+
+
+def connector_kind(type_name: str) -> ConnectorKind:
+    """Which kind of connector has that type: ``pkg/srv/Type`` is that of a service, ``pkg/action/Type`` of an action."""
+    return _KIND_OF_FOLDER.get(type_name.partition("/")[2].partition("/")[0], "topic")
+
+
+# What a bound is on, in the words of the language.
+BOUND_WORDS: Final[dict[ConnectorKind, str]] = {"topic": "responds", "service": "responds", "action": "accepts"}
 
 
 def canonical_type(name: str) -> str:
@@ -229,9 +243,10 @@ Nothing: TypeAlias = Literal[_Nothing.NOTHING]
 
 @dataclass(frozen=True, slots=True)
 class Predicate:
-    """What the messages on a port are like: their type, rate (Hz), QoS, and the values of fields.
+    """What travels through a port: its type, and for messages their rate (Hz), QoS, and the values of fields.
 
-    As a guarantee it says what is produced (at least ``rate``), as an assumption what is needed.
+    As a guarantee it says what is provided (at least ``rate``), as an assumption what is needed. ``within``: the bound
+    (s) within which a service answers a request, or an action accepts or rejects a goal.
     ``fields`` holds one set of values for each constrained field, sorted by the field's path; several constraints on
     one field are intersected.
     """
@@ -240,6 +255,7 @@ class Predicate:
     rate: float | None = None
     qos: QoS = DEFAULT_QOS
     fields: tuple[tuple[str, ValueSet], ...] = ()
+    within: float | None = None
 
     def __post_init__(self) -> None:
         """Normalise: one set of values for each field, and a one-point interval becomes a value."""
@@ -254,6 +270,10 @@ class Predicate:
             object.__setattr__(self, "fields", tuple(sorted(sets.items(), key=lambda entry: entry[0])))
 
     @property
+    def kind(self) -> ConnectorKind:
+        return connector_kind(self.type)
+
+    @property
     def is_empty(self) -> bool:
         """Whether no message can be like this, because the constraints on a field contradict each other."""
         return any(values.is_empty for _, values in self.fields)
@@ -266,6 +286,8 @@ class Predicate:
         text = self.type
         if self.rate is not None:
             text += f" @ {format_number(self.rate)} Hz"
+        if self.within is not None:
+            text += f" {BOUND_WORDS[self.kind]} within {_duration(self.within)}"
         if qos := str(self.qos):
             text += f" {qos}"
         if self.fields:
@@ -286,6 +308,8 @@ def satisfies(offered: Contract, needed: Contract) -> bool:
         return False
     if needed.rate is not None and (offered.rate is None or offered.rate < needed.rate):
         return False
+    if needed.within is not None and (offered.within is None or offered.within > needed.within):
+        return False
     if offered.qos is not needed.qos and offered.qos != needed.qos and needed.qos.unmet_by(offered.qos):
         return False
     for path, values in needed.fields:
@@ -305,6 +329,11 @@ def explain(offered: Contract, needed: Contract) -> list[str]:
     if needed.rate is not None and (offered.rate is None or offered.rate < needed.rate):
         given = "no rate" if offered.rate is None else f"{format_number(offered.rate)} Hz"
         clauses.append(f"rate: {given} is offered, at least {format_number(needed.rate)} Hz is needed")
+    if needed.within is not None and (offered.within is None or offered.within > needed.within):
+        given = (
+            "no bound" if offered.within is None else f"{BOUND_WORDS[offered.kind]} within {_duration(offered.within)}"
+        )
+        clauses.append(f"bound: {given} is offered, at most {_duration(needed.within)} is needed")
     clauses.extend(needed.qos.unmet_by(offered.qos))
     for path, values in needed.fields:
         given_values = offered.constraint(path)

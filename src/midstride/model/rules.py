@@ -24,6 +24,7 @@ from midstride.model.component import (
 )
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, explain, format_number, satisfies
+from midstride.model.wording import KIND_WORDS
 
 _SHOWN = 8  # how many names a message lists
 
@@ -122,19 +123,23 @@ class Evaluator:
             shortfalls.append(f"{output} in mode {mode.name}: {', '.join(clauses)}")
         for offer in self.configuration.context.publishers_out_of_scope(connector):
             shortfalls.append(f"environment {offer.name}: {', '.join(explain(offer.guarantee, connector.guarantee))}")
-        return f"no publisher satisfies {name} ({'; '.join(shortfalls)})" if shortfalls else f"{name} has no publisher"
+        provider = KIND_WORDS[connector.kind].provider
+        return (
+            f"no {provider} satisfies {name} ({'; '.join(shortfalls)})" if shortfalls else f"{name} has no {provider}"
+        )
 
     def why_input_unsatisfied(self, port: PortRef) -> str:
         attached = self.configuration.attached_to(port)
-        if not attached:
-            return f"input {port} is not attached to any topic"
         assumption = self.configuration.component(port.instance).inputs[port.port]
+        words = KIND_WORDS[assumption.kind]
+        if not attached:
+            return f"{words.input} {port} is not attached to any {words.connector}"
         reasons = []
         for name in attached:
             connector = self.configuration.context.connectors.get(name)
             if connector is not None and not satisfies(connector.guarantee, assumption):
                 clauses = ", ".join(explain(connector.guarantee, assumption))
-                reasons.append(f"{name} does not satisfy what input {port} assumes ({clauses})")
+                reasons.append(f"{name} does not satisfy what {words.input} {port} assumes ({clauses})")
             else:
                 reasons.append(self.why_connector_unsatisfied(name))
         return "; ".join(reasons)
@@ -152,7 +157,8 @@ class Evaluator:
                 reasons.append(self.why_input_unsatisfied(PortRef(ref.instance, name)))
             else:
                 clauses = ", ".join(explain(inputs[name], assumption))
-                reasons.append(f"input {ref.instance}.{name} does not satisfy it ({clauses})")
+                word = KIND_WORDS[inputs[name].kind].input
+                reasons.append(f"{word} {ref.instance}.{name} does not satisfy it ({clauses})")
         if not reasons:
             reasons.append(f"{ref} uses no input, and the environment does not guarantee it")
         return f"assumes {assumption}: " + "; ".join(reasons)
@@ -192,7 +198,9 @@ def cap_violation(configuration: Configuration, connector: str) -> Violation | N
         return None
     names = [f"environment {offer.name}" for offer in configuration.context.publishers_out_of_scope(declared)]
     names += [str(port) for port in sorted(configuration.publishers_on(connector))]
-    because = f"{count} publishers ({_listed(names)}), at most {declared.max_publishers} allowed"
+    because = (
+        f"{count} {KIND_WORDS[declared.kind].provider}s ({_listed(names)}), at most {declared.max_publishers} allowed"
+    )
     return Violation("cap", connector, because, (connector, *names[:_SHOWN]))
 
 

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
+from midstride.model import wording
 from midstride.model.best import best
 from midstride.model.component import (
     ROS_PARAMETERS,
@@ -23,7 +24,15 @@ from midstride.model.component import (
 )
 from midstride.model.component_rules import component_rules, number_problems, predicate_problems, value_problems
 from midstride.model.configuration import Configuration, to_fraction
-from midstride.model.contract import DEFAULT_QOS, Contract, Predicate, explain, format_number, satisfies
+from midstride.model.contract import (
+    DEFAULT_QOS,
+    Contract,
+    Predicate,
+    connector_kind,
+    explain,
+    format_number,
+    satisfies,
+)
 from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.gate_checks import gate_problems, gated_node_problems, managed_twice
@@ -31,6 +40,7 @@ from midstride.model.name_checks import component_names, node_names, specificati
 from midstride.model.respawn_checks import respawn_problems
 from midstride.model.rules import attachment_shortfall, normal_guarantee
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
+from midstride.model.wording import KIND_WORDS
 
 
 def check_component(component: ComponentSpec) -> tuple[Problem, ...]:
@@ -86,9 +96,10 @@ def _sorted(problems: Iterable[Problem]) -> tuple[Problem, ...]:
 
 def _context_problems(specification: Specification) -> Iterator[Problem]:
     for name, connector in specification.connectors.items():
-        yield from predicate_problems(connector.guarantee, ("topics", name))
+        path = (f"{connector.kind}s", name)
+        yield from predicate_problems(connector.guarantee, path)
         yield from number_problems(
-            connector.max_publishers, "the number of publishers", ("topics", name, "max_publishers"), zero=True
+            connector.max_publishers, "the number of publishers", (*path, "max_publishers"), zero=True
         )
     for offer in specification.environment:
         yield from predicate_problems(offer.guarantee, ("environment", offer.name, "guarantee"))
@@ -110,9 +121,13 @@ def _too_many_publishers(specification: Specification) -> Iterator[Problem]:
         offers = specification.context.publishers_out_of_scope(connector)
         counted = publishers.get(name, []) + [f"environment {offer.name}" for offer in offers]
         if connector.max_publishers is not None and len(counted) > connector.max_publishers:
-            count = f"{len(counted)} publisher{'s' if len(counted) != 1 else ''}"
+            count = wording.counted(len(counted), KIND_WORDS[connector.kind].provider)
             message = f"{name} has {count} ({', '.join(counted)}), at most {connector.max_publishers} allowed"
-            yield Problem("E022", ("topics", name, "max_publishers"), message, "silent publishers count, too")
+            if connector.kind == "topic":
+                yield Problem("E022", ("topics", name, "max_publishers"), message, "silent publishers count, too")
+            else:
+                help = "attach only one: every server of a name would answer each request"
+                yield Problem("E022", (f"{connector.kind}s", name), message, help)
 
 
 def _capacities(specification: Specification) -> Iterator[Problem]:
@@ -151,8 +166,9 @@ def _node_problems(specification: Specification, node: Node, path: SubjectPath) 
         for port in component.ports():
             output = component.has_output(port)
             if not node.attachments.get(port) and not (output and component.find_owner(port) is None):
-                kind = "output" if output else "input"
-                message = f"{kind} {node.role}.{port} is attached to no topic"
+                words = KIND_WORDS[connector_kind(component.type_of(port) or "")]
+                kind = words.output if output else words.input
+                message = f"{kind} {node.role}.{port} is attached to no {words.connector}"
                 yield Problem("W030", (*path, "attachments", port), message, "attach it, or remove it")
     yield from respawn_problems(specification, node, (*path, "respawn"))
     yield from gated_node_problems(component, node, path)
@@ -273,8 +289,11 @@ def _unsatisfied_topics(configuration: Configuration) -> Iterator[Problem]:
         if configuration.publishers_on(name) or not all(reasons.values()):
             continue
         shortfalls = "; ".join(f"environment {offer}: {', '.join(clauses)}" for offer, clauses in reasons.items())
-        message = f"no publisher satisfies {name}: {shortfalls}" if shortfalls else f"{name} has no publisher"
-        yield Problem("W031", ("topics", name), message, "attach an output, or let the environment guarantee it")
+        words = KIND_WORDS[connector.kind]
+        lacks = f"{name} has no {words.provider}"
+        message = f"no {words.provider} satisfies {name}: {shortfalls}" if shortfalls else lacks
+        help = f"attach {wording.indefinite(words.output)}, or let the environment guarantee it"
+        yield Problem("W031", (f"{connector.kind}s", name), message, help)
 
 
 def _at_start(specification: Specification, configuration: Configuration) -> Iterator[Problem]:

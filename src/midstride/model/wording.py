@@ -6,6 +6,30 @@ Plain strings go in, since what is shown is sometimes an action, sometimes a ste
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Final, NamedTuple
+
+from midstride.model.contract import ConnectorKind
+
+
+class KindWords(NamedTuple):
+    """What a connector of one kind is called, and what is attached to it."""
+
+    connector: str
+    output: str
+    input: str
+    provider: str
+
+
+KIND_WORDS: Final[Mapping[ConnectorKind, KindWords]] = {
+    "topic": KindWords("topic", "output", "input", "publisher"),
+    "service": KindWords("service", "server", "client", "server"),
+    "action": KindWords("ROS action", "action server", "action client", "action server"),
+}
+
+
+def indefinite(noun: str) -> str:
+    """The noun with its indefinite article: ``a server``, ``an output``."""
+    return f"{'an' if noun[0] in 'aeio' else 'a'} {noun}"
 
 
 def existence(kind: str, instance: str, component: str = "") -> str:

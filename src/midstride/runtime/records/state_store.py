@@ -21,7 +21,13 @@ from immutables import Map
 from midstride.codec.component_form import ComponentForm
 from midstride.codec.configuration_form import InstanceForm
 from midstride.codec.parameter import from_json, json_values
-from midstride.codec.specification_form import NodeForm, SpecificationForm, TopicForm, decode_saved_specification
+from midstride.codec.specification_form import (
+    CONNECTOR_FORMS,
+    NodeForm,
+    SpecificationForm,
+    decode_saved_specification,
+    of_kind,
+)
 from midstride.codec.writing import to_json
 from midstride.errors import ManagerError, MidstrideError, Superseded
 from midstride.model.configuration import Instance
@@ -199,7 +205,16 @@ class StateStore:
         """The statements that replace the specification that was written last by this one."""
         before, self._specification = self._specification, specification
         sections: list[tuple[str, Mapping[str, Any], Mapping[str, Any], Callable[[Any], object]]] = [
-            ("topics", before.connectors, specification.connectors, TopicForm.of_connector),
+            *(
+                (
+                    f"{kind}s",
+                    of_kind(before.connectors, kind),
+                    of_kind(specification.connectors, kind),
+                    form.of_connector,
+                )
+                for kind, form in CONNECTOR_FORMS.items()
+                if before.connectors is not specification.connectors
+            ),
             ("components", before.components, specification.components, ComponentForm.of),
             ("nodes", before.nodes, specification.nodes, lambda node: NodeForm.of(node, specification)),
             (_REST, {"": _rest(before)}, {"": _rest(specification)}, SpecificationForm.of),
