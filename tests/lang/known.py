@@ -24,5 +24,5 @@ class Known:
     def message(self, name: str) -> MessageDefinition | None:
         return MessageDefinition(name, parse_fields(TEXTS[name], name.partition("/")[0])) if name in TEXTS else None
 
-    def types(self, package: str) -> Iterable[str]:
-        return [name.rpartition("/")[2] for name in TEXTS if name.startswith(f"{package}/")]
+    def types(self, package: str, folder: str = "msg") -> Iterable[str]:
+        return [name.rpartition("/")[2] for name in TEXTS if name.startswith(f"{package}/{folder}/")]

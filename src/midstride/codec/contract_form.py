@@ -122,7 +122,8 @@ AnyType: TypeAlias = Annotated[
     str,
     field(
         "a type",
-        "the type of a message, pkg/msg/Type or pkg/Type, of a service, pkg/srv/Type, or of a ROS action, pkg/action/Type",
+        "the type of a message, pkg/msg/Type or pkg/Type, of a service, pkg/srv/Type, or of a ROS action, "
+        "pkg/action/Type",
         help="write it as `std_msgs/msg/String` or `std_srvs/srv/Trigger`",
         min_length=1,
         pattern=f"^{TOKEN}/((msg|srv|action)/)?{TOKEN}{END}",

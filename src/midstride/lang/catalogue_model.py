@@ -214,6 +214,18 @@ MODEL: Final = (
         "contract Slim = Wide where width in [1, 99]\n",
     ),
     _entry(
+        "E017: clause that another kind of contract has",
+        """Messages have a rate, a QoS profile and constraints on fields. A service or a ROS action has a bound: within
+        what time it answers a request, or accepts or rejects a goal.""",
+        "leave the clause out, or state what belongs to the type",
+        "system s\ncontract Map = nav_msgs/srv/GetMap @ 10 Hz\nservice /map : Map\n",
+        "system s\nservice /map : nav_msgs/srv/GetMap qos(depth = 1)\n",
+        "system s\ncontract Chat = std_msgs/msg/String responds within 1 s\ntopic /chatter : Chat\n",
+        _json(
+            '{"system": "s", "components": {"C": {"inputs": {"map": {"type": "a/srv/B", "where": {"x": {"=": 1}}}}}}}\n'
+        ),
+    ),
+    _entry(
         "E020: attachment whose contracts do not fit",
         """An output can be attached to a topic if the guarantee of its normal mode satisfies the contract of the
         topic; an input can be attached if the contract of the topic satisfies the assumption of the input. The

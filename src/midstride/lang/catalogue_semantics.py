@@ -121,6 +121,17 @@ SEMANTICS: Final = (
         have no effect on a node without it.""",
         respawning("respawn_delay 2 s"),
     ),
+    entry(
+        "E147: type of another kind",
+        """The type says whether something is a topic (`pkg/msg/Type`), a service (`pkg/srv/Type`) or a ROS action
+        (`pkg/action/Type`), and the declaration has to say the same: outputs and inputs belong to topics, servers and
+        clients to services, action servers and action clients to ROS actions. A service `responds within` a bound, a
+        ROS action `accepts within` it.""",
+        "system s\ntopic /map : nav_msgs/srv/GetMap\n",
+        "system s\ncomponent Planner {\n  input map : nav_msgs/srv/GetMap\n}\n",
+        "system s\ncontract Dock = nav2_msgs/action/DockRobot responds within 1 s\naction /dock : Dock\n",
+        CHATTER.replace("output out", "server out") + NODE,
+    ),
     # -- parameter files -------------------------------------------------------------------------------
     entry(
         "E150: invalid ROS parameter file",

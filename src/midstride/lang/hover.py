@@ -60,7 +60,8 @@ class _Hover:
         for name, value in component.environment.items():
             yield f"without the variable `{name}`" if value is None else f"with `{name}={value}`"
         for name in component.input_order:
-            yield f"{KIND_WORDS[component.inputs[name].kind].input} `{name} : {component.inputs[name]}`{_tolerance(component, name)}"
+            assumption = component.inputs[name]
+            yield f"{KIND_WORDS[assumption.kind].input} `{name} : {assumption}`{_tolerance(component, name)}"
         for name in component.outputs:
             owner = component.find_owner(name)
             word = KIND_WORDS[connector_kind(component.type_of(name) or "")].output

@@ -23,10 +23,9 @@ RESPAWN_WORDS: Final = ("respawn", "respawn_delay", "respawn_max_retries", "resp
 # comma, so the next statement must be distinguishable from the next name.
 KEYWORD_PLACES: Final[Mapping[str, str]] = {
     "environment": "at the top level, in a namespace or in a component",
-    **dict.fromkeys(
-        "system include contract topic service resource component node namespace keep limit order timing changes".split(),
-        "at the top level or in a namespace",
-    ),
+    **dict.fromkeys("system include contract topic service".split(), "at the top level or in a namespace"),
+    **dict.fromkeys("resource component node namespace".split(), "at the top level or in a namespace"),
+    **dict.fromkeys("keep limit order timing changes".split(), "at the top level or in a namespace"),
     "action": "at the top level, in a namespace or in a component",
     **dict.fromkeys("run holds input output server client allows functionality".split(), "in a component"),
     "parameters": "in a component, in a mode, in a node or at the top level",

@@ -2,8 +2,9 @@
 
 A :class:`Predicate` states a type and, optionally, for messages a rate, a QoS profile and constraints on fields, for a
 service or a ROS action how soon a request is answered. As a *guarantee* it says what is provided, as an *assumption*
-what is needed. :data:`NOTHING` is the contract of an output that provides nothing. ``satisfies`` says whether a guarantee is good enough for an assumption, ``explain`` says clause
-by clause why it is not (docs/semantics.md section 1; the paper's section 5.1, with QoS and fields added).
+what is needed. :data:`NOTHING` is the contract of an output that provides nothing. ``satisfies`` says whether a
+guarantee is good enough for an assumption, ``explain`` says clause by clause why it is not (docs/semantics.md
+section 1; the paper's section 5.1, with QoS and fields added).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ _KIND_OF_FOLDER: Final[dict[str, ConnectorKind]] = {"srv": "service", "action": 
 
 
 def connector_kind(type_name: str) -> ConnectorKind:
-    """Which kind of connector has that type: ``pkg/srv/Type`` is that of a service, ``pkg/action/Type`` of an action."""
+    """The kind of connector with that type: that of ``pkg/srv/Type`` is a service, of ``pkg/action/Type`` an action."""
     return _KIND_OF_FOLDER.get(type_name.partition("/")[2].partition("/")[0], "topic")
 
 
