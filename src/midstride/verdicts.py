@@ -530,6 +530,8 @@ def why_unmeasured(component: ComponentSpec) -> str | None:
         return None
     if not component.ports():
         return "no ports are stated"
+    if len(component.service_ports()) == len(component.ports()):
+        return "nothing counts requests to services"
     if not component.counts_messages and not component.has_lifecycle:
         return f"nothing counts messages (`gate {component.gate}`)"
     return None

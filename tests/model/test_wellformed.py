@@ -118,6 +118,18 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "talk has only one mode, so there is nothing to degrade to",
     ),
     (
+        "E017",
+        [("/components/Listener/inputs/in", {"type": "std_srvs/srv/Trigger", "rate": 5})],
+        "/components/Listener/inputs/in/rate",
+        "std_srvs/srv/Trigger is the type of a service, which has no rate",
+    ),
+    (
+        "E017",
+        [("/components/Listener/inputs/in", {"type": STRING, "within_seconds": 1})],
+        "/components/Listener/inputs/in/within_seconds",
+        f"{STRING} is the type of a topic, which answers no request within a bound",
+    ),
+    (
         "E016",
         [("/components/Listener/inputs/in/where", {"size": {">": 5, "<=": 5}})],
         "/components/Listener/inputs/in/where/size",

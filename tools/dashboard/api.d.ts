@@ -2,6 +2,16 @@
 // `make reference` writes this file from midstride.server.openapi.
 
 declare namespace Api {
+  /** A ROS action: its type, and within what time (s) goals are accepted or rejected. */
+  interface ActionForm {
+    /** the type of the ROS action, pkg/action/Type */
+    type: string;
+    /** within which a request is answered, or a goal accepted or rejected */
+    within_seconds?: number;
+    /** the name in the ROS graph, where it differs */
+    action?: string;
+  }
+
   /** The best plan in which one functionality does not fall below its baseline, or why there is none. */
   interface Alternative {
     functionality: string;
@@ -38,7 +48,7 @@ declare namespace Api {
   }
 
   /** One of several inputs, or what a message of some input must be like. */
-  type AssumptionForm = { /** one of these inputs */ any_of: string[]; } | { /** the message type, pkg/msg/Type or pkg/Type */ type: string; /** in Hz, at least */ rate?: number; qos?: QoSForm; /** the values that fields may have, by dotted path */ where?: Record<string, ValuesForm>; };
+  type AssumptionForm = { /** one of these inputs */ any_of: string[]; } | { /** the type of a message, pkg/msg/Type or pkg/Type, of a service, pkg/srv/Type, or of a ROS action, pkg/action/Type */ type: string; /** in Hz, at least */ rate?: number; qos?: QoSForm; /** the values that fields may have, by dotted path */ where?: Record<string, ValuesForm>; /** within which a request is answered, or a goal accepted or rejected */ within_seconds?: number; };
 
   /** A port of an instance is attached to a topic. */
   interface AttachStep {
@@ -508,13 +518,15 @@ declare namespace Api {
 
   /** What an input assumes of its topics, how many missed messages it tolerates, and whether it is a condition. */
   interface InputForm {
-    /** the message type, pkg/msg/Type or pkg/Type */
+    /** the type of a message, pkg/msg/Type or pkg/Type, of a service, pkg/srv/Type, or of a ROS action, pkg/action/Type */
     type: string;
     /** in Hz, at least */
     rate?: number;
     qos?: QoSForm;
     /** the values that fields may have, by dotted path */
     where?: Record<string, ValuesForm>;
+    /** within which a request is answered, or a goal accepted or rejected */
+    within_seconds?: number;
     /** missed in succession */
     tolerates?: number;
     /** whether its last message decides */
@@ -1051,15 +1063,17 @@ declare namespace Api {
     fields?: FieldStatus[];
   }
 
-  /** What messages are like: a guarantee, or an assumption. */
+  /** What messages are like, or how soon a service or ROS action answers: a guarantee, or an assumption. */
   interface PredicateForm {
-    /** the message type, pkg/msg/Type or pkg/Type */
+    /** the type of a message, pkg/msg/Type or pkg/Type, of a service, pkg/srv/Type, or of a ROS action, pkg/action/Type */
     type: string;
     /** in Hz, at least */
     rate?: number;
     qos?: QoSForm;
     /** the values that fields may have, by dotted path */
     where?: Record<string, ValuesForm>;
+    /** within which a request is answered, or a goal accepted or rejected */
+    within_seconds?: number;
   }
 
   /** The program of an instance, as far as it is known. */
@@ -1219,6 +1233,16 @@ declare namespace Api {
     phase: "down" | "failed" | "starting" | "up";
   }
 
+  /** A service: its type, and within what time (s) requests are answered. */
+  interface ServiceForm {
+    /** the type of the service, pkg/srv/Type */
+    type: string;
+    /** within which a request is answered, or a goal accepted or rejected */
+    within_seconds?: number;
+    /** the name in the ROS graph, where it differs */
+    service?: string;
+  }
+
   /** Parameters of a live instance are set in place: `before` has the values it has, if they are set at run time. */
   interface SetStep {
     action: "set";
@@ -1253,6 +1277,10 @@ declare namespace Api {
     system: string;
     /** the topics, by full name */
     topics?: Record<string, TopicForm>;
+    /** the services, by full name */
+    services?: Record<string, ServiceForm>;
+    /** the ROS actions, by full name */
+    actions?: Record<string, ActionForm>;
     /** what there is a limited amount of */
     resources?: Record<string, ResourceForm>;
     /** what holds without any node */

@@ -2,6 +2,7 @@
 
 PUBLIC = (
     "ForeignAgent ForeignRecord GATES_FOLDER Gates GraphEndpoint KILLED NODE_LOOK LifecycleManager LifecycleManagers "
-    "LifecyclePeers NoAnswer NodeServices OUTPUT OwnNodeSearch PAGE Page PagePort PortFlag RelayOrder RelayPlatform "
-    "ReportedStates Served build differing endpoints_seconds order_file private_topics run_relay typed"
+    "LifecyclePeers NamedServer NoAnswer NodeServices OUTPUT OwnNodeSearch PAGE Page PagePort PortFlag RelayOrder "
+    "RelayPlatform ReportedStates Served build differing endpoints_seconds of_topics order_file private_topics "
+    "run_relay typed"
 )

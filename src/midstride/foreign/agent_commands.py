@@ -34,6 +34,9 @@ class ForeignCommands:
 
     async def carry_out(self, command: Command[Any]) -> WireValue:
         """Carry out any command but `welcome`. Raises CommandRefused."""
+        if (port := getattr(command, "port", None)) is not None and self._is_service(port):
+            self._check(command)
+            return self._of_service(command)
         if (handler := getattr(self._outputs, command.name, None)) is not None:
             self._check(command)
             reply: WireValue = await handler(command)
@@ -70,6 +73,31 @@ class ForeignCommands:
                     f"{self._node.record.instance} does not use Midstride's API, and `{command.name}` needs it"
                 )
         return replies.Done()
+
+    def _is_service(self, port: str) -> bool:
+        return port in self._node.record.topics and self._node.component.kind_of(port) != "topic"
+
+    def _of_service(self, command: Command[Any]) -> WireValue:
+        """Carry out a command about a server or a client, which come and go with the process. Raises CommandRefused."""
+        node = self._node
+        match command:
+            case commands.AttachCommand(port=port, topic=name):
+                if command.gate == "closed" and node.gates is None:
+                    kind = f"`gate {node.component.gate}`"
+                    raise CommandRefused(
+                        f"{node.record.instance} answers {name} at once ({kind}): nothing holds it back"
+                    )
+                node.set_links({port: command.gate})
+                return replies.Attached(matched=0)
+            case commands.DetachCommand(port=port):
+                node.set_links({port: None})
+                return replies.Detached(acknowledged=None, last=None)
+            case commands.GateCommand(port=port):
+                node.set_links({port: command.gate})
+                return replies.Done()
+        raise CommandRefused(
+            f"{node.record.instance} has no messages to count on a service or ROS action (`{command.name}`)"
+        )
 
     async def modes(self, command: commands.ModesCommand) -> replies.PreviousModes:
         before = {name: mode for name, mode in self._node.record.modes.items() if name in command.modes}

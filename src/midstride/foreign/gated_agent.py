@@ -15,6 +15,7 @@ from typing import Any, Final
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.agent_commands import ForeignCommands
+from midstride.foreign.declared_servers import DeclaredServers
 from midstride.foreign.foreign_parameters import ForeignParameters
 from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
@@ -24,7 +25,7 @@ from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, STATE_TIMEOUT, NodeLifecycle, taken_down
-from midstride.foreign.node import WATCH, ForeignNode, without_ports
+from midstride.foreign.node import WATCH, ForeignNode, of_topics, without_ports
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.replaced_node import lacks
 from midstride.foreign.reported_states import ReportedStates
@@ -95,7 +96,8 @@ class ForeignAgent:
         self._managers = managers
         self._shown: object = None  # what the graph showed of it last, until it shows nothing new any more
         self._shown_since = 0.0
-        self._declared = DeclaredEndpoints(self.node.component, record.topics, record.node)
+        self._declared = DeclaredEndpoints(of_topics(self.node.component), record.topics, record.node)
+        self._servers = DeclaredServers(self.node.component, record.topics, record.node)
         self._failed: str | None = None  # why it has not been configured, or is not what is declared
         self._replies: dict[str, asyncio.Task[Reply]] = {}
         self._lock = asyncio.Lock()
@@ -129,7 +131,7 @@ class ForeignAgent:
         A hand-over that an earlier manager has not finished is withdrawn, unless the new node has written already.
         """
         if self.node.gates is not None:
-            for baton in {self.node.gates.baton(port) for port in self.node.component.outputs} - {0}:
+            for baton in {self.node.gates.baton(port) for port in self.node.gates.component.outputs} - {0}:
                 self.node.gates.step(baton, BatonStep.WITHDRAW)
         if self._managers is not None and self._graph is not None:
             self._managers.starting[self.node.record.instance] = self.node.record.role
@@ -175,6 +177,8 @@ class ForeignAgent:
         if self.node.gates is not None and self._failed is None:
             missing = await self._missing(self.node.gates)
             missing = await self._compare(missing, asyncio.get_running_loop().time() - begun)
+        if self._failed is None:
+            self._failed = await self._without_servers(begun)
         if not self.node.component.ports() and self._failed is None:
             self._failed = await self._not_up()
         self._registered_at = asyncio.get_running_loop().time()
@@ -182,6 +186,18 @@ class ForeignAgent:
         self._report()
         declaration = NamedComponentForm.of(without_ports(self.node.component, missing))
         self._server.register(frames.Registration(declaration=declaration, endpoints=[]))
+
+    async def _without_servers(self, begun: float) -> str | None:
+        """Wait until the graph shows the declared servers, as long as a program that was started at ``begun`` may take.
+
+        Why they are not as declared is returned. A node that has been accepted keeps running.
+        """
+        if (served := self._served) is None or self.node.record.welcomed or not self._servers.ports:
+            return None
+        waited = asyncio.get_running_loop().time() - begun
+        longest = max(GRAPH_TIMEOUT, endpoints_seconds(self.node.component) - waited)
+        await self.node.comes_true(lambda: self._servers.shown(served()), longest, every=WATCH)
+        return "; ".join(self._servers.differences(served())) or None
 
     async def _not_up(self) -> str | None:
         """Wait until a node without ports has taken the place of the one that it replaces; why it has not.
@@ -298,11 +314,13 @@ class ForeignAgent:
         self._note_news((set(found), served), nothing=not found and served == Served(), never=never)
         await self._look_at_managers(served)
         left = await self._left_active(served)
+        # A middleware that shows nothing of the node shows no server either: then nothing is known.
+        lost = self._servers.differences(served) if self._registered.is_set() and served != Served() else []
         names = [*served.names]
         if served.managers:
             names.append(f"its lifecycle services, which {' and '.join(each.name for each in served.managers)} calls")
         seen = (
-            [*self._declared.differences(found), *left, *self._managed_twice(served)],
+            [*self._declared.differences(found), *lost, *left, *self._managed_twice(served)],
             self._undeclared(found),
             names,
             [*served.calls],
@@ -387,7 +405,9 @@ class ForeignAgent:
 
         def ready() -> bool:
             """Whether it is a lifecycle node, or a plain one that has made its endpoints."""
-            return served().has_lifecycle or (gates is not None and bool(component.ports()) and not gates.missing())
+            return served().has_lifecycle or (
+                gates is not None and bool(gates.component.ports()) and not gates.missing()
+            )
 
         await self.node.comes_true(ready, endpoints_seconds(component), every=WATCH)
         if served().has_lifecycle:

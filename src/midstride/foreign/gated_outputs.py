@@ -94,10 +94,11 @@ class GatedOutputs(UngatedOutputs):
 
     async def fence(self, command: commands.FenceCommand) -> replies.FencedOutputs:
         gates = self._gates
-        batons = {baton for port, _ in command.attachments if (baton := gates.baton(port))}
+        attachments = [each for each in command.attachments if each[0] in gates.component.ports()]
+        batons = {baton for port, _ in attachments if (baton := gates.baton(port))}
         for baton in batons:
             gates.step(baton, BatonStep.LIFT if command.lift else BatonStep.FENCE)
-        for port, _ in command.attachments:
+        for port, _ in attachments:
             if not gates.baton(port):
                 gates.set_gate(port, command.lift)
         if not command.lift:
@@ -106,7 +107,7 @@ class GatedOutputs(UngatedOutputs):
                 for baton in batons:
                     gates.step(baton, BatonStep.LIFT)
                 raise CommandRefused("a message is being published, and that does not end")
-        last = {f"{port} {topic}": int(gates.entry(port).passed) for port, topic in command.attachments}
+        last = {f"{port} {topic}": int(gates.entry(port).passed) for port, topic in attachments}
         return replies.FencedOutputs(last=last)
 
     async def _matched(self, port: str, wanted: int, patience: float) -> int:
@@ -171,12 +172,10 @@ class GatedOutputs(UngatedOutputs):
 
     def _hangs(self) -> str | None:
         """How an output with a rate shows that the node hangs; None where none does."""
-        for port in self._node.record.links:
-            rate = (
-                self._node.component.stated_rate(port, self._node.record.modes)
-                if self._node.component.has_output(port)
-                else None
-            )
+        for port in self._gates.component.outputs:
+            if port not in self._node.record.links:
+                continue
+            rate = self._node.component.stated_rate(port, self._node.record.modes)
             age = self._gates.age(port)
             due = None if age is None else self._node.due(age)
             if rate and due is not None and due > max(HANGS, HANGS_PERIODS / rate):
@@ -271,7 +270,7 @@ class GatedOutputs(UngatedOutputs):
         gates, ports = self._gates, [swap.port for swap in command.swaps]
         if not ports or command.state is not None:
             raise CommandRefused(f"{self._node.record.instance} does not use Midstride's API: it has no state to move")
-        own = {port: gates.baton(port) for port in self._node.component.outputs}
+        own = {port: gates.baton(port) for port in gates.component.outputs}
         baton = gates.share(ports)
         self._cuts[command.cut] = _Cut(command.swaps, baton, {}, own=own)
         return replies.Done()
@@ -308,7 +307,7 @@ class GatedOutputs(UngatedOutputs):
         if len(holders) != 1:
             raise CommandRefused(f"{command.peer} is not ready to hand over")
         baton = holders.pop()
-        own = {port: gates.baton(port) for port in self._node.component.outputs}
+        own = {port: gates.baton(port) for port in gates.component.outputs}
         before = {port: int(gates.entry(port).passed) for port in ports}
         gates.share(ports, baton)
         cut = self._cuts[command.cut] = _Cut(command.swaps, baton, before, old, own, command.quiet)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from midstride.foreign.lifecycle_managers import LifecycleManager
 from midstride.model.component import ComponentSpec
-from midstride.model.contract import NOTHING, Predicate, QoS, canonical_type
+from midstride.model.contract import NOTHING, ConnectorKind, Predicate, QoS, canonical_type
 from midstride.model.graph_names import is_infrastructure, resolved
 from midstride.model.near_miss import nearest
+from midstride.model.wording import KIND_WORDS
 
 # How long a program may take to create the endpoints that are declared (s), besides what it states (`takes`).
 ENDPOINTS_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_ENDPOINTS_TIMEOUT", "20"))
@@ -35,18 +36,30 @@ class GraphEndpoint:
         return f"{self.topic} ({self.type})"
 
 
+class NamedServer(NamedTuple):
+    """A server of a service or ROS action, as the graph shows it. ``name`` is the full name."""
+
+    kind: ConnectorKind
+    name: str
+    type: str
+
+    def __str__(self) -> str:
+        return f"{KIND_WORDS[self.kind].connector} {self.name}"
+
+
 @dataclass(frozen=True, slots=True)
 class Served:
     """The services and ROS actions of a node, in words, without those of every node; whether it has a lifecycle.
 
     ``managers``: the other nodes that change its lifecycle state.
-    ``calls``: those of other nodes that it is a client of, in words.
+    ``calls``: those of other nodes that it is a client of, in words. ``servers``: all of them.
     """
 
     names: tuple[str, ...] = ()
     has_lifecycle: bool = False
     managers: tuple[LifecycleManager, ...] = ()
     calls: tuple[str, ...] = ()
+    servers: frozenset[NamedServer] = frozenset()
 
 
 #: What the graph shows of one node now.

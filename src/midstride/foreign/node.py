@@ -102,7 +102,7 @@ class ForeignNode:
 
     def adjust(self, port: str) -> None:
         """Open or close the gate of an output, as its attachment and the mode of its functionality say."""
-        if self.gates is None or not self.component.has_output(port):
+        if self.gates is None or not self.component.has_output(port) or self.component.kind_of(port) != "topic":
             return
         owner = self.component.owner(port)
         works = self.record.modes[owner.name] != owner.modes[-1].name
@@ -174,7 +174,7 @@ class ForeignNode:
             unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,
             node=record.node,
             keeps_name=self.keeps_name(),
-            answers=self.gates is None or (self.gates.answers and self.gates.writes_unstated),
+            answers=self.answers and (self.gates is None or self.gates.writes_unstated),
             imported=1,
             host=THIS_HOST,
             unread_parameters=self.unread_parameters,
@@ -184,6 +184,11 @@ class ForeignNode:
             unfinished=self.unfinished,
         )
 
+    @property
+    def answers(self) -> bool:
+        """Return whether it answers requests to the services that the instances of its role share."""
+        return self.gates is None or self.gates.answers
+
     def gate_states(self) -> dict[str, GateState | None]:
         """By attached port. An output is open where the node also has the baton; inputs have none."""
         return {port: self._gate_state(port) for port in self.record.links}
@@ -191,10 +196,14 @@ class ForeignNode:
     def _gate_state(self, port: str) -> GateState | None:
         if not self.component.has_output(port):
             return None
+        if self.component.kind_of(port) != "topic":
+            return "open" if self.record.links[port] == "open" and self.answers else "closed"
         return "open" if self.record.links[port] == "open" and (not self.gates or self.gates.has_it(port)) else "closed"
 
     def _link(self, port: str) -> LinkState:
         gates = self.gates
+        if self.component.kind_of(port) != "topic":
+            return LinkState(gate=self._gate_state(port), count=0)
         if gates is None:
             silent = None if self.inactive is None or not self.component.has_output(port) else self.inactive()
             return LinkState(gate=self._gate_state(port), count=0, inactive=silent)
@@ -224,6 +233,11 @@ class ForeignNode:
         covered, age = now - seen[0][0], gates.age(port)
         rate = None if age is None or covered < SAMPLE else (total - seen[0][1]) / covered
         return Measured(window=window, covered=min(window, covered), rate=rate, age=age)
+
+
+def of_topics(component: ComponentSpec) -> ComponentSpec:
+    """``component`` with the ports that have a gate and messages: its publishers and subscriptions."""
+    return without_ports(component, component.service_ports())
 
 
 def without_ports(component: ComponentSpec, missing: list[str]) -> ComponentSpec:

@@ -45,8 +45,12 @@ class Skeleton:
 def skeleton(component: ComponentSpec, node: str, environment: tuple[EnvironmentGuarantee, ...] = ()) -> Skeleton:
     """The skeleton of ``component``, with the default node name ``node``.
 
-    Raises SpecificationError if no mode states the type of an output.
+    Raises SpecificationError if no mode states the type of an output, or if it has servers or clients.
     """
+    if services := component.service_ports():
+        raise SpecificationError(
+            f"the servers and clients of {component.name} ({', '.join(services)}) cannot be generated yet"
+        )
     name = f"{component.name}Node" if component.name in _IMPORTED else component.name
     return _Builder(component, environment, Skeleton(name, node)).build()
 

@@ -318,7 +318,9 @@ def _not_stated_again(lazy: tuple[syntax.Name, ...], outputs: tuple[syntax.Name,
     return tuple(output for output in lazy if output.text not in stated)
 
 
-def _served_again(served: tuple[syntax.Served, ...], outputs: tuple[syntax.Name, ...]) -> tuple[syntax.Served, ...]:
+def _served_again(
+    served: tuple[syntax.ServerDeclaration, ...], outputs: tuple[syntax.Name, ...]
+) -> tuple[syntax.ServerDeclaration, ...]:
     """As with lazy outputs: one that is stated again is a server only where that says so."""
     stated = {output.text for output in outputs}
     return tuple(each for each in served if each.name.text not in stated)

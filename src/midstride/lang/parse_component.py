@@ -36,7 +36,7 @@ class ComponentParser(ContractParser):
         functionalities: list[syntax.FunctionalityDeclaration] = []
         topics: list[syntax.OwnTopic] = []
         lazy: list[syntax.Name] = []
-        served: list[syntax.Served] = []
+        served: list[syntax.ServerDeclaration] = []
         unread_parameters: set[str] = set()
         handlers: Handlers = {
             "run": lambda start: runs.append(self._run(start)),
@@ -164,12 +164,14 @@ class ComponentParser(ContractParser):
         self._own_topic(name, topics)
         return syntax.InputDeclaration(name, contract, None, None, kind)
 
-    def _server(self, kind: ConnectorKind, topics: list[syntax.OwnTopic], served: list[syntax.Served]) -> syntax.Name:
+    def _server(
+        self, kind: ConnectorKind, topics: list[syntax.OwnTopic], served: list[syntax.ServerDeclaration]
+    ) -> syntax.Name:
         self.layout.marks[self.i] = "port"
         name = self.name(f"the name of {indefinite(KIND_WORDS[kind].output)}", ("server", ":"))
         self._no_contract(name, KIND_WORDS[kind].output)
         self._own_topic(name, topics)
-        served.append(syntax.Served(name, kind))
+        served.append(syntax.ServerDeclaration(name, kind))
         return name
 
     def _action_port(
@@ -177,7 +179,7 @@ class ComponentParser(ContractParser):
         inputs: list[syntax.InputDeclaration],
         outputs: list[syntax.Name],
         topics: list[syntax.OwnTopic],
-        served: list[syntax.Served],
+        served: list[syntax.ServerDeclaration],
     ) -> None:
         """``action server NAME`` or ``action client NAME : CONTRACT``."""
         if self.accept_word("client"):

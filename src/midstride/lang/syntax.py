@@ -158,7 +158,7 @@ class InputDeclaration(NamedTuple):
     kind: ConnectorKind = "topic"
 
 
-class Served(NamedTuple):
+class ServerDeclaration(NamedTuple):
     """An output that was declared as ``server NAME`` or ``action server NAME``."""
 
     name: Name
@@ -223,7 +223,7 @@ class ComponentDeclaration(NamedTuple):
     functionalities: tuple[FunctionalityDeclaration, ...]
     topics: tuple[OwnTopic, ...]
     lazy: tuple[Name, ...]  # outputs
-    served: tuple[Served, ...]  # outputs
+    served: tuple[ServerDeclaration, ...]  # outputs
     skipped: frozenset[str]  # the first words of the statements that could not be parsed
 
 

@@ -19,7 +19,7 @@ from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 
 from immutables import Map
 
-from midstride.model.contract import NOTHING, ConnectorKind, Contract, Predicate, QoS
+from midstride.model.contract import NOTHING, ConnectorKind, Contract, Predicate, QoS, connector_kind
 
 ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
 
@@ -410,6 +410,16 @@ class ComponentSpec:
             return self.inputs[port].type
         endpoint = self.output_endpoint(port)
         return None if endpoint is None else endpoint[0]
+
+    def kind_of(self, port: str) -> ConnectorKind:
+        """The kind of connector that a port belongs to; an output that guarantees nothing in any mode is a topic's."""
+        if port not in self.inputs and self.find_owner(port) is None:
+            return "topic"
+        return connector_kind(self.type_of(port) or "")
+
+    def service_ports(self) -> list[str]:
+        """The servers and clients of services and ROS actions, as :meth:`ports` orders them."""
+        return [port for port in self.ports() if self.kind_of(port) != "topic"]
 
     def stated_rate(self, port: str, modes: Mapping[str, str]) -> float | None:
         """The rate (Hz) that an input assumes, or that an output guarantees in the mode of its functionality.

@@ -183,6 +183,10 @@ class Configuration:
     def topic(self, connector: str) -> str:
         return self.context.connectors[connector].topic
 
+    def is_topic(self, connector: str) -> bool:
+        """Return whether it is a topic; else it is a service or a ROS action."""
+        return self.context.connectors[connector].kind == "topic"
+
     def users(self, input_port: PortRef) -> list[FunctionalityRef]:
         """The functionalities associated with a live input."""
         component = self.component(input_port.instance)

@@ -9,6 +9,7 @@ from midstride.model.component import DEFAULT_STOP, ComponentSpec, value_fits, v
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.lifecycle_management import managed_nodes
 from midstride.model.specification import Node, Specification
+from midstride.model.wording import KIND_WORDS
 
 _CODE = "E027"
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -42,6 +43,7 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         elif component.gate is None:
             message = f"port {port} of {name} states what the program calls its topic, but {name} has no gate"
             yield Problem(_CODE, where, message, 'omit it, or state the gate: `run "…" gate preload`')
+    yield from _services(component, path)
     yield from _mode_parameters(component, path)
     yield from _of_a_program(component, path)
     if component.once:
@@ -68,6 +70,21 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
     for port in sorted(component.conditions):
         message = f"input {port} of {name} cannot be a condition: {name} does not use Midstride's API"
         yield Problem(_CODE, (*path, "inputs", port, "condition"), message, "omit `condition`")
+
+
+def _services(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
+    """Yield the servers and clients of a program in which nothing can find them."""
+    if component.run is None or component.gate not in (None, "relay"):
+        return
+    for port in component.service_ports():
+        words = KIND_WORDS[component.kind_of(port)]
+        output = component.has_output(port)
+        where = (*path, "outputs", str(component.outputs.index(port))) if output else (*path, "inputs", port)
+        why = "`gate relay`, which passes messages on" if component.gate else "Midstride's API, whose ports are topics"
+        what = f"{words.output if output else words.input} {port}"
+        message = f"{what} cannot be declared yet: {component.name} uses {why}"
+        help = 'state another gate (`run "…" gate preload`), or omit it and state `allows`'
+        yield Problem(_CODE, where, message, help)
 
 
 def _named(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:

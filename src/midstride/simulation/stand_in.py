@@ -19,6 +19,7 @@ from immutables import Map
 from midstride.backends.simulator.cooperative_thread import ThreadYield
 from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
 from midstride.codec.component_form import encode_component
+from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
 from midstride.node.author.ports import Output
@@ -37,8 +38,13 @@ def with_stand_ins(specification: Specification, stateless: Collection[str] = ()
     """``specification`` with a stand-in as the program of each component that has one.
 
     ``stateless``: the components that have no state to move, as drivers of devices often. What changes require is taken
-    for met: what is published outside the system is not simulated.
+    for met: what is published outside the system is not simulated. Stand-ins have topics only.
+
+    Raises PlanRefused where a service or a ROS action is declared.
     """
+    services = sorted(name for name, each in specification.connectors.items() if each.kind != "topic")
+    if services:
+        raise PlanRefused(f"services and ROS actions cannot be simulated yet: {', '.join(services)}")
     components = {
         name: _stand_in(component, name not in stateless) for name, component in specification.components.items()
     }

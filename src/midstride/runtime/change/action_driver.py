@@ -242,10 +242,20 @@ class ActionDriver:
                 await self._change_answering(instance, runs=False)
             case Attach(port, connector) if not self._has_endpoint(port, connector):
                 await self._attach(action)
+            case Detach(port, connector) if self._serves_on(port, connector):
+                words = f"{port.instance} serves {connector} as long as it runs: replace it, or remove it"
+                raise StepFailed(f"{port} cannot be taken off {connector}: {words}")
             case Detach(port, connector) if not (
                 self.system.life.is_gone_or_fenced(port.instance) or self._has_endpoint(port, connector)
             ):
                 await self._detach(action, budget)
+
+    def _serves_on(self, port: PortRef, connector: str) -> bool:
+        """Return whether it is a server that nothing but the end of its process takes out of the graph."""
+        configuration = self.configuration
+        server = configuration.is_output(port) and not configuration.is_topic(connector)
+        ends = self.rolling_back or port.instance in self.change.leaving or self.system.life.is_gone(port.instance)
+        return server and not ends
 
     def _require_successor(self, leaving: str) -> None:
         """Raises StepFailed if what replaces an instance without taking over a topic has exited already.
@@ -411,6 +421,13 @@ class ActionDriver:
     async def _attach(self, action: Attach) -> None:
         port, topic, configuration = action.port, self.configuration.topic(action.connector), self.configuration
         output = configuration.is_output(port)
+        if not configuration.is_topic(action.connector):  # which have no messages that somebody must be there for
+            attach = commands.AttachCommand(
+                port=port.port, topic=topic, peers=0, timeout=ATTACH_TIMEOUT, await_ready=False
+            )
+            detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+            await self._or_undo(port.instance, attach, detach)
+            return
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self.system.life.is_gone(other.instance) for other in others)
         attach = commands.AttachCommand(
@@ -434,7 +451,8 @@ class ActionDriver:
         reply = await self._or_undo(port.instance, detach, attach)
         if reply.last:
             self.last_numbers[port] = reply.last
-        if reply.acknowledged is None and self.configuration.is_output(port):
+        topical = self.configuration.is_topic(action.connector)
+        if reply.acknowledged is None and self.configuration.is_output(port) and topical:
             self.events.add("note", f"{port}: unknown whether its last messages on {topic} arrived")
 
     def _relied_on(self, port: PortRef) -> dict[str, Any]:
@@ -498,9 +516,12 @@ class ActionDriver:
         """
         if not isinstance(action, Handover):
             return
+        swaps = [swap for swap in action.swaps if self.configuration.is_topic(swap.connector)]
+        if not swaps:
+            return
         timing = self.change.target.timing
         by_default = self.change.brief and "probation" not in timing and "watch_after" not in timing
-        rates = {swap.new: self._rate(swap.new) for swap in action.swaps}
+        rates = {swap.new: self._rate(swap.new) for swap in swaps}
         seconds, shortest = handover_seconds(timing, "watch_after"), WATCHED_WINDOW
         if by_default:
             rates = {port: rate for port, rate in rates.items() if rate * LONGEST_BRIEF_WINDOW >= FEWEST_PERIODS}
@@ -512,7 +533,7 @@ class ActionDriver:
         outputs = sorted(
             {
                 WatchedOutput(swap.new, swap.old, self.configuration.topic(swap.connector), rates.get(swap.new, 0.0))
-                for swap in action.swaps
+                for swap in swaps
             }
         )
         self.events.add("watching", f"watching {', '.join(str(each.port) for each in outputs)} for {seconds:g} s")

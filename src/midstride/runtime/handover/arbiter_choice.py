@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride.errors import PlanRefused, StepFailed
-from midstride.model.action import Create, Handover
+from midstride.model.action import Create, Handover, Swap
 from midstride.model.component import ComponentSpec
+from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 
 
@@ -58,20 +59,39 @@ def choose_arbiter(component: Callable[[str], ComponentSpec], old: str, new: str
     raise StepFailed(f"{old} cannot hand over to {new}: {words}; use `--strategy paper`")
 
 
-def require_arbiters(plan: Plan) -> None:
-    """Raises PlanRefused where :func:`choose_arbiter` would fail a step of ``plan``.
+def require_answering(configuration: Configuration, swap: Swap) -> None:
+    """Raises StepFailed where requests to the service or ROS action of ``swap`` cannot be handed over.
 
-    By then the new program would run, and one that nothing holds back would publish beside the old one.
+    The preloaded library has each request answered by one of the instances of a node (docs/protocols/services.md).
     """
-    components = {name: instance.component for name, instance in plan.change.start.instances.items()}
-    components |= {
-        step.action.instance.name: step.action.instance.component
-        for step in plan.steps
-        if isinstance(step.action, Create)
-    }
+    old, new = swap.old.instance, swap.new.instance
+    components = {name: configuration.component(name) for name in (old, new)}
+    words = f"{old} cannot hand over {swap.connector} to {new}"
+    if (loose := next((name for name, each in components.items() if not each.preloads), None)) is not None:
+        how = f"{loose} has `gate {components[loose].gate}`, so both would answer requests while both run"
+        raise StepFailed(f"{words}: {how}; use `gate preload`, or `--strategy paper`")
+    if configuration.instances[old].role != configuration.instances[new].role:
+        roles = " and ".join(configuration.instances[name].role for name in (old, new))
+        how = f"they are instances of different nodes ({roles}), and only those of one node share its requests"
+        raise StepFailed(f"{words}: {how}; use `--strategy paper`")
+
+
+def require_arbiters(plan: Plan) -> None:
+    """Raises PlanRefused where :func:`choose_arbiter` or :func:`require_answering` would fail a step of ``plan``.
+
+    By then the new program would run, and one that nothing holds back would publish, or answer, beside the old one.
+    """
+    configuration = plan.change.start
+    for step in plan.steps:
+        if isinstance(step.action, Create):
+            configuration = configuration.with_instance(step.action.instance)
+    connectors = {**plan.change.start.context.connectors, **plan.change.target.connectors}
     for step in plan.steps:
         for swap in step.action.swaps if isinstance(step.action, Handover) else ():
             try:
-                choose_arbiter(components.__getitem__, swap.old.instance, swap.new.instance)
+                if connectors[swap.connector].kind == "topic":
+                    choose_arbiter(configuration.component, swap.old.instance, swap.new.instance)
+                else:
+                    require_answering(configuration, swap)
             except StepFailed as error:
                 raise PlanRefused(str(error)) from None

@@ -32,10 +32,10 @@ from midstride.runtime.handover.agreed_cut import (
     require_same_clock,
     written_once,
 )
-from midstride.runtime.handover.arbiter_choice import choose_arbiter
+from midstride.runtime.handover.arbiter_choice import choose_arbiter, require_answering
 from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences
-from midstride.runtime.handover.new_publishers import DETACH_TIMEOUT, NewPublishers
+from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT, NewPublishers
 from midstride.runtime.handover.state_transfers import StateTransfers
 from midstride.runtime.process.answering_instance import have_answer
 from midstride.runtime.process.component_client import ComponentClient
@@ -106,12 +106,17 @@ class LiveHandover:
     # Of the new outputs that have published at an agreed moment: the number of the first message.
     first_numbers: dict[PortRef, int] = field(default_factory=dict, init=False)
     _new: NewPublishers = field(init=False)
+    # Those of services and ROS actions: no messages are cut, but requests answered by the new side from then on.
+    _services: list[Swap] = field(init=False)
     _cuts: list[Cut] = field(default_factory=list)
     _too_slow: bool = False  # the old side was not free until the last moment that was tried
     _published: bool = False  # the new side has published after the cut
     _deadline: float = 0.0  # until when an old side that hangs may become free (steady s)
 
     def __post_init__(self) -> None:
+        is_topic = self.configuration.is_topic
+        self._services = [swap for swap in self.swaps if not is_topic(swap.connector)]
+        self.swaps = [swap for swap in self.swaps if is_topic(swap.connector)]
         self._new = NewPublishers(self.client, self.events, self.configuration, self.backend, self.timing, self.rates)
 
     async def run(self) -> dict[PortRef, int | None]:
@@ -120,8 +125,13 @@ class LiveHandover:
         Then the old publishers publish as before, and the new ones have no endpoint on the topics. What fails after the
         cut is only noted.
         """
+        last: dict[PortRef, int | None] = {}
         try:
-            last = await self._exchange()
+            await self._attach_servers()
+            if self.swaps or not self._services:
+                last = await self._exchange()
+            else:
+                await self._have_answer()
         except MidstrideError as error:
             await self._undo()
             raise StepFailed(str(error)) from error
@@ -129,7 +139,8 @@ class LiveHandover:
             await self._undo()
             raise
         await self._change_answering()
-        for swap in self.swaps:
+        await self._open_servers()
+        for swap in (*self.swaps, *self._services):
             if self.client.life.is_gone_or_fenced(swap.old.instance):
                 continue
             try:
@@ -177,6 +188,35 @@ class LiveHandover:
 
     async def _have_exited(self) -> bool:
         return all([await self._has_exited(old) for old, _ in self._pairs])
+
+    async def _attach_servers(self) -> None:
+        """Raises StepFailed where requests cannot be handed over."""
+        for swap in self._services:
+            require_answering(self.configuration, swap)
+            attach = commands.AttachCommand(
+                port=swap.new.port,
+                topic=self._topic(swap),
+                peers=0,
+                timeout=ATTACH_TIMEOUT,
+                gate="closed",
+                await_ready=False,
+            )
+            await self.client.change(swap.new.instance, attach)
+
+    async def _have_answer(self) -> None:
+        """Have the new sides of the services answer, where nothing else is handed over. Raises MidstrideError."""
+        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self._services}):
+            if self.before_cut is not None:
+                await self.before_cut(old, new)
+            await have_answer(self.client, new, instead_of=None if self.client.life.is_gone(old) else old)
+
+    async def _open_servers(self) -> None:
+        for swap in self._services:
+            opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open")
+            try:
+                await self.client.change(swap.new.instance, opening)
+            except MidstrideError as error:
+                self.events.add("note", f"{swap.new} does not report {swap.connector} as its own yet: {error}")
 
     async def _change_answering(self) -> None:
         """Have each replacement answer the requests to its role's node."""
@@ -406,3 +446,6 @@ class LiveHandover:
         await self.fences.lift({old for old, _ in self._pairs})
         await self._cancel(self._cuts)
         await self._new.detach()
+        for swap in self._services:
+            detach = commands.DetachCommand(port=swap.new.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
+            await self.client.undo(swap.new.instance, detach)

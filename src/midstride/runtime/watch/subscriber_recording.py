@@ -44,7 +44,7 @@ class Exchange:
 
 
 def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[Exchange]:
-    """The publishers that ``actions`` exchange, by hand-over or by detaching one and attaching the other.
+    """The publishers of topics that ``actions`` exchange, by hand-over or by detaching one and attaching the other.
 
     What a stand-in takes over and hands on is one exchange: of the one before it with the one after it.
     """
@@ -70,7 +70,7 @@ def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[E
                     for name, old in detached
                     if name == connector and old.port == port.port and roles[old.instance] == roles[port.instance]
                 )
-    return found
+    return [each for each in found if configuration.is_topic(each.connector)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,6 +159,8 @@ class Recording(ChangeObserver):
     async def before_handover(self, configuration: Configuration, action: Handover) -> None:
         """Record the input that drives the new side of a message-driven output."""
         for swap in action.swaps:
+            if not configuration.is_topic(swap.connector):
+                continue
             grid = await self._grid(swap.old)
             if grid is None or grid.trigger != "message":
                 continue

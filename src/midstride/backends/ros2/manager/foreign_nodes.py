@@ -31,6 +31,7 @@ from midstride.foreign.graph_check import GraphEndpoint, Served, endpoints_secon
 from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.mode_parameters import typed
+from midstride.foreign.node import of_topics
 from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
@@ -147,7 +148,7 @@ class ForeignNodes:
             page, library = await self._opened(environment)
             index = page.allocate(launch.instance)
             old = self._agents.get(launch.predecessor)
-            Gates(page, index, component).prepare(topics, None if old is None else old.node.record.index)
+            Gates(page, index, of_topics(component)).prepare(topics, None if old is None else old.node.record.index)
             preloaded = environment.get("LD_PRELOAD", "")
             variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
             variables |= {ENV_PAGE: str(page.path.absolute()), ENV_NODE: str(index)}
@@ -382,7 +383,7 @@ class ForeignNodes:
     async def _answer(self, record: ForeignRecord) -> None:
         gates = None
         if record.index is not None and self._page is not None:
-            gates = Gates(self._page, record.index, record.declaration.declared())
+            gates = Gates(self._page, record.index, of_topics(record.declaration.declared()))
         self.names.add(record.node)
         old = self._agents.get(record.replaces)
         before = None

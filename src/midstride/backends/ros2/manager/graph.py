@@ -23,7 +23,7 @@ from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import port_endpoints
 from midstride.backends.ros2.middleware import NodeProcess, RmwImplementation
 from midstride.backends.ros2.names import InstanceNode
-from midstride.foreign.graph_check import GraphEndpoint, Served
+from midstride.foreign.graph_check import GraphEndpoint, NamedServer, Served
 from midstride.foreign.lifecycle_managers import LifecycleManager
 from midstride.model.graph_names import is_infrastructure
 from midstride.model.instance_names import full_name, split_name
@@ -31,6 +31,8 @@ from midstride.runtime.backend_protocol import Endpoints
 
 # Between the name of a ROS action and those of its services.
 _ACTION: Final = "/_action/"
+# What the type of the service that takes the goals of a ROS action ends with.
+_SEND_GOAL: Final = "_SendGoal"
 # The packages of the services that ROS itself gives nodes: parameters, lifecycle, types, log levels.
 _OF_PARAMETERS: Final = "rcl_interfaces/"
 _OF_EVERY_NODE: Final = (_OF_PARAMETERS, "lifecycle_msgs/", "type_description_interfaces/", "logging_interfaces/")
@@ -188,16 +190,25 @@ class Graph:
                 found = [(name, types) for name, types in shown if name in services]
         except NodeNameNonExistentError:
             return Served()
-        served = set()
+        servers: set[NamedServer] = set()
         has_lifecycle = any(name == f"{node}/get_state" and _GET_STATE in types for name, types in found)
         for name, types in found:
             action, _, part = name.partition(_ACTION)
             if part:
-                served.add(f"ROS action {action}")
-            elif not name.startswith(f"{node}/") or not any(type_.startswith(_OF_EVERY_NODE) for type_ in types):
-                served.add(f"service {name}")
+                servers.update(
+                    NamedServer("action", action, type_.removesuffix(_SEND_GOAL))
+                    for type_ in types
+                    if type_.endswith(_SEND_GOAL)
+                )
+            else:
+                servers.update(NamedServer("service", name, type_) for type_ in types)
         managers = tuple(self._managers(node)) if has_lifecycle else ()
-        return Served(tuple(sorted(served)), has_lifecycle, managers, tuple(sorted(self._calls(node))))
+        of_its_own = {
+            str(server)
+            for server in servers
+            if not (server.name.startswith(f"{node}/") and server.type.startswith(_OF_EVERY_NODE))
+        }
+        return Served(tuple(sorted(of_its_own)), has_lifecycle, managers, tuple(sorted(self._calls(node))), frozenset(servers))
 
     def _calls(self, node: str) -> set[str]:
         """The services and ROS actions of other nodes that a node may call, in words."""

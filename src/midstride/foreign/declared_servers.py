@@ -1,0 +1,52 @@
+"""Compares the servers of a node without Midstride's API with those that its component declares: names and types.
+
+A client may come into being when it is first needed, so those are not looked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from midstride.foreign.graph_check import NamedServer, Served
+from midstride.model.component import ComponentSpec
+from midstride.model.wording import KIND_WORDS
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredServers:
+    """The servers of ``node`` (a full name) as ``component`` declares them; ``topics`` has the full name of each."""
+
+    component: ComponentSpec
+    topics: Mapping[str, str]
+    node: str
+
+    @property
+    def ports(self) -> list[str]:
+        """The servers."""
+        return [port for port in self.component.service_ports() if self.component.has_output(port)]
+
+    def shown(self, served: Served) -> bool:
+        """Return whether the graph shows all of them, of whatever type."""
+        found = {(server.kind, server.name) for server in served.servers}
+        return found.issuperset((self.component.kind_of(port), self.topics[port]) for port in self.ports)
+
+    def differences(self, served: Served) -> list[str]:
+        """Each server that the node lacks, or has with another type, in words."""
+        return list(self._differences(served))
+
+    def _differences(self, served: Served) -> Iterator[str]:
+        for port in self.ports:
+            kind, name = self.component.kind_of(port), self.topics[port]
+            words, type_ = KIND_WORDS[kind], self.component.type_of(port)
+            types = sorted(server.type for server in served.servers if (server.kind, server.name) == (kind, name))
+            declared = f"{words.output} {port} of {self.component.name}"
+            if not types:
+                others = ", ".join(served.names)
+                instead = f"; it serves {others}" if others else ""
+                yield f"node {self.node} does not serve {NamedServer(kind, name, '')}, for {declared}{instead}"
+            elif type_ not in types:
+                yield (
+                    f"node {self.node} serves {NamedServer(kind, name, '')} of type {', '.join(types)}, "
+                    f"and {declared} is declared as {type_}"
+                )

@@ -1,0 +1,143 @@
+"""Services and ROS actions in the model and the language: connectors of a kind, with at most one server."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from midstride.codec.specification_form import decode_specification, encode_specification
+from midstride.errors import PlanRefused, SpecificationError
+from midstride.generate.skeleton import skeleton
+from midstride.lang.load import load_text
+from midstride.model.component import Connector
+from midstride.model.contract import Predicate, explain, satisfies
+from midstride.model.rules import Evaluator
+from midstride.model.specification import Specification, initial
+from midstride.plan.change_builder import requested_change
+from midstride.plan.impact import impacts
+from midstride.plan.plan import Plan
+from midstride.plan.request import PlanRequest
+from midstride.plan.strategies.registry import planner
+from midstride.runtime.handover.arbiter_choice import require_arbiters
+from midstride.simulation.stand_in import with_stand_ins
+from midstride.verify.alloy_atoms import AlloyAtoms
+
+MAP = "nav_msgs/srv/GetMap"
+TEXT = """system mapping
+contract Map = nav_msgs/srv/GetMap responds within 50 ms
+service /map : Map
+action /dock : nav2_msgs/action/DockRobot accepts within 0.5 s
+component Server {
+  run "server" gate preload
+  server map
+  functionality serve { produces map  mode normal { guarantee map : Map }  mode off { } }
+}
+component Docking {
+  run "docking" gate preload
+  client map : nav_msgs/srv/GetMap responds within 0.1 s
+  action server dock
+  functionality docking {
+    uses map
+    produces dock
+    mode normal { assume map  guarantee dock : nav2_msgs/action/DockRobot accepts within 0.5 s }
+    mode off { }
+  }
+}
+component Mission {
+  run "mission" gate preload
+  action client dock : nav2_msgs/action/DockRobot
+  functionality drive { uses dock  mode normal { assume dock }  mode off { } }
+}
+node map_server : Server { map -> /map }
+node docking : Docking { map <- /map  dock -> /dock }
+node mission : Mission { dock <- /dock }
+"""
+
+
+def restarted(specification: Specification, role: str) -> Plan:
+    request = PlanRequest(restart=(role,))
+    return planner()(requested_change(initial(specification), specification, request, request.target(specification)))
+
+
+@pytest.mark.parametrize(
+    ("offered", "needed", "why"),
+    [
+        (0.05, 0.1, None),
+        (0.1, 0.1, None),
+        (0.05, None, None),
+        (None, None, None),
+        (0.2, 0.1, "bound: responds within 0.2 s is offered, at most 0.1 s is needed"),
+        (None, 0.1, "bound: no bound is offered, at most 0.1 s is needed"),
+    ],
+)
+def test_a_bound_satisfies_one_that_is_not_shorter(
+    offered: float | None, needed: float | None, why: str | None
+) -> None:
+    pair = Predicate(MAP, within=offered), Predicate(MAP, within=needed)
+    assert satisfies(*pair) == (why is None)
+    assert explain(*pair) == ([] if why is None else [why])
+
+
+def test_a_service_has_at_most_one_server() -> None:
+    assert Connector("/map", Predicate(MAP)).max_publishers == 1
+    assert Connector("/map", Predicate("nav_msgs/msg/Path")).max_publishers is None
+    result = load_text(TEXT + "node second : Server { map -> /map }\n")
+    assert [each.code for each in result.diagnostics] == ["E022"]
+
+
+def test_what_relies_on_a_server_degrades_without_it() -> None:
+    first = impacts(load_text(TEXT).require(), ("map_server",))[0]
+    assert {(str(each.functionality), each.after) for each in first.impacted} >= {
+        ("docking.docking", "off"),
+        ("mission.drive", "off"),
+    }
+    specification = load_text(TEXT.replace("{ map -> /map }", "{ }", 1)).require()
+    evaluator = Evaluator(initial(specification))
+    assert "/map has no server" in evaluator.why_connector_unsatisfied("/map")
+
+
+def test_the_json_form_lists_each_kind_apart() -> None:
+    specification = load_text(TEXT).require()
+    document = encode_specification(specification)
+    text = json.loads(json.dumps(document))
+    assert text["services"] == {"/map": {"type": MAP, "within_seconds": 0.05}}
+    assert text["actions"] == {"/dock": {"type": "nav2_msgs/action/DockRobot", "within_seconds": 0.5}}
+    assert decode_specification(text) == specification
+
+
+def test_a_server_is_handed_over_as_an_output_is() -> None:
+    specification = load_text(TEXT).require()
+    plan = restarted(specification, "map_server")
+    assert [step.action.kind for step in plan.steps] == ["create", "upgrade", "handover", "remove"]
+    assert not plan.degradations
+    require_arbiters(plan)
+
+
+def test_without_the_library_a_hand_over_of_a_server_is_refused_before_anything_starts() -> None:
+    specification = load_text(TEXT.replace("gate preload", "gate none")).require()
+    plan = restarted(specification, "map_server")
+    with pytest.raises(PlanRefused, match="has `gate none`, so both would answer requests while both run"):
+        require_arbiters(plan)
+
+
+@pytest.mark.parametrize("gate", ["", " gate relay"])
+def test_programs_whose_servers_nothing_can_find_are_refused(gate: str) -> None:
+    result = load_text(TEXT.replace(" gate preload", gate))
+    assert {each.code for each in result.diagnostics} == {"E027"}
+    assert len(result.diagnostics) == 4
+
+
+def test_what_cannot_be_done_yet_says_so() -> None:
+    specification = load_text(TEXT).require()
+    with pytest.raises(PlanRefused, match="services and ROS actions cannot be simulated yet: /dock, /map"):
+        with_stand_ins(specification)
+    with pytest.raises(SpecificationError, match=r"the servers and clients of Server \(map\) cannot be generated yet"):
+        skeleton(specification.components["Server"], "map_server")
+
+
+def test_alloy_is_given_which_bounds_satisfy_which() -> None:
+    atoms = AlloyAtoms()
+    short, long = (atoms.predicate(Predicate(MAP, within=within)) for within in (0.05, 0.1))
+    assert (short, long) in atoms.tuples["sat"]
+    assert (long, short) not in atoms.tuples["sat"]
