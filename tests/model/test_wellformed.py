@@ -119,14 +119,14 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
     ),
     (
         "E017",
-        [("/components/Listener/inputs/in", {"type": "std_srvs/srv/Trigger", "rate": 5})],
-        "/components/Listener/inputs/in/rate",
+        [("/environment", {"clock": {"guarantee": {"type": "std_srvs/srv/Trigger", "rate": 5}}})],
+        "/environment/clock/guarantee/rate",
         "std_srvs/srv/Trigger is the type of a service, which has no rate",
     ),
     (
         "E017",
-        [("/components/Listener/inputs/in", {"type": STRING, "within_seconds": 1})],
-        "/components/Listener/inputs/in/within_seconds",
+        [("/environment", {"clock": {"guarantee": {"type": STRING, "within_seconds": 1}}})],
+        "/environment/clock/guarantee/within_seconds",
         f"{STRING} is the type of a topic, which answers no request within a bound",
     ),
     (
