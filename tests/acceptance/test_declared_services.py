@@ -12,8 +12,8 @@ from midstride.lang.load import load_text
 from midstride.model.component import FunctionalityRef
 from midstride.plan.request import PlanRequest
 from tests.acceptance.foreign_support import robot
+from tests.acceptance.serving import CLIENTS, SERVER, called
 from tests.acceptance.support import ended
-from tests.acceptance.test_plain_services import CLIENTS, SERVER, called
 from tests.backends.ros2_support import run
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
