@@ -203,12 +203,14 @@ class Graph:
             else:
                 servers.update(NamedServer("service", name, type_) for type_ in types)
         managers = tuple(self._managers(node)) if has_lifecycle else ()
-        of_its_own = {
+        words = {
             str(server)
             for server in servers
             if not (server.name.startswith(f"{node}/") and server.type.startswith(_OF_EVERY_NODE))
         }
-        return Served(tuple(sorted(of_its_own)), has_lifecycle, managers, tuple(sorted(self._calls(node))), frozenset(servers))
+        return Served(
+            tuple(sorted(words)), has_lifecycle, managers, tuple(sorted(self._calls(node))), frozenset(servers)
+        )
 
     def _calls(self, node: str) -> set[str]:
         """The services and ROS actions of other nodes that a node may call, in words."""
