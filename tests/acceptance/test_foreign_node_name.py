@@ -9,8 +9,6 @@ import os
 from pathlib import Path
 
 import pytest
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 
 from midstride.lang.load import load
 from tests.acceptance.foreign_support import Robot, declared_talker, robot
@@ -59,6 +57,9 @@ def kept_across(folder: Path, number: int) -> None:
     (folder / "mapping.stride").write_text(f"{text}node mapper : Plain {{ out -> /chat }}\n", encoding="utf-8")
 
     async def scenario() -> None:
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
         async with robot(load(folder / "mapping.stride").require(), folder) as system:
             client = system.bare.node.create_client(SetParameters, "/mapper/set_parameters")
             await system.until(client.service_is_ready)

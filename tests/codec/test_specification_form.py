@@ -13,7 +13,7 @@ from midstride.codec.reading import parse_json
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import SpecificationError
 from midstride.model.component import Connector, InputAlternatives, StopTimes
-from midstride.model.contract import Interval, OneOf
+from midstride.model.contract import Interval, OneOf, Predicate
 from midstride.model.diagnostics import Problem
 from midstride.model.specification import Order
 
@@ -94,6 +94,17 @@ DOCUMENT: dict[str, Any] = {
     ],
     "timing_seconds": {"attach": 0.05, "create": 0.5},
 }
+
+
+def test_an_assumption_without_an_input_may_have_a_bound() -> None:
+    document = copy.deepcopy(DOCUMENT)
+    assumed = {"type": "nav_msgs/srv/GetMap", "within_seconds": 0.1}
+    modes = document["components"]["Detector"]["functionalities"]["detect"]["modes"]
+    modes["normal"]["assumes"].append(assumed)
+    assumption = (
+        decode_specification(document).components["Detector"].functionalities["detect"].modes[0].assumptions[-1]
+    )
+    assert isinstance(assumption, Predicate) and assumption.within == 0.1
 
 
 def test_the_form_says_what_it_shows() -> None:

@@ -54,7 +54,8 @@ class ShapedForm(Form, frozen=True):
         return cls.shapes if cls.otherwise is None else (*cls.shapes, cls.otherwise)
 
     def __post_init__(self) -> None:
-        stated = {name for name in self.__struct_fields__ if getattr(self, name) is not UNSET}
+        keys = zip(self.__struct_fields__, self.__struct_encode_fields__, strict=True)
+        stated = {key for name, key in keys if getattr(self, name) is not UNSET}
         if not any({*shape.required} <= stated <= {*shape.required, *shape.optional} for shape in self.all_shapes()):
             raise ValueError(f"{self.what} is expected")
 
