@@ -33,12 +33,15 @@ import rclpy
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 rclpy.init()
 node = Node("driver")
 node.declare_parameter("speed", 9.0)
 node.declare_parameter("gain", 0.1)
+node.declare_parameter("weights", [0.5, 0.25])
+node.declare_parameter("later", Parameter.Type.STRING)  # it has no value yet
 node.declare_parameter("frame", "base", ParameterDescriptor(read_only=True))
 out = node.create_publisher(String, "cmd", 10)
 count = itertools.count()
@@ -82,7 +85,7 @@ node right : Relayed { cmd -> /right   parameters { speed = 2.0 } }
 
 timing { watch_after 2 s }
 """
-KEPT = (("gain", "kept", "unknown"), ("speed", "kept", "set"))
+KEPT = {("gain", "kept", "unknown"), ("speed", "kept", "set")}
 
 
 def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> None:
@@ -120,7 +123,7 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             assert [(each.value, each.origin) for each in report.parameters if each.name == "gain"] == [
                 (0.25, "unknown")
             ]
-            await manager.set_parameters("left", {"speed": 2})
+            await manager.set_parameters("left", {"speed": 2, "weights": []})
             with pytest.raises(CommandRefused, match=r"left refuses speed = 6\.0: it is too fast"):
                 await manager.set_parameters("left", {"speed": 6.0})
             with pytest.raises(CommandRefused, match=r"it has no sped; did you mean `speed`\?"):
@@ -152,10 +155,13 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             outcome = await carried_out(PlanRequest(restart=("left", "right")))
             assert (outcome.outcome, outcome.because) == ("done", None)
             assert {(each.node, each.parameter, each.fate, each.origin) for each in outcome.parameters} == {
-                (role, *fate) for role in ("left", "right") for fate in KEPT
+                *((role, *fate) for role in ("left", "right") for fate in KEPT),
+                ("left", "weights", "kept", "set"),
             }
             assert await values("left") == {"speed": 3.0, "gain": 0.25, "frame": "base"}
             assert await values("right") == {"speed": 3.0, "gain": 0.75, "frame": "base"}
+            (report,) = await manager.parameters("left")
+            assert [each.value for each in report.parameters if each.name == "weights"] == [[]]
 
             # `apply` sets in place what is changeable.
             target = load_text(

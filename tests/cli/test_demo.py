@@ -51,7 +51,8 @@ def test_every_example_has_a_demo() -> None:
     with_programs = {path.parent.name for path in folder.glob("*/*.py")} - {
         "suave",
         "navigation",
-    }  # a campaign, and what docs/how-to/bring-your-robot.md brings in
+        "navigator",
+    }  # a campaign, and what docs/how-to/bring-your-robot.md and replace-a-server.md run
     assert sorted(with_programs) == sorted((*EVERY, "patrol"))
     assert {path.parent.name for path in folder.glob("*/demo.json")} == with_programs
     assert examples.find("patrol").program == folder / "patrol" / "demo.py"

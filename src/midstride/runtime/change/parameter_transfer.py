@@ -97,7 +97,8 @@ class ParameterTransfer:
         if old is not None:
             self._carried[old] = values
         self._given[instance.name] = given = self._kept(instance, values, unknown)
-        return given
+        # rcl reads an empty list in a parameter file as no value: it is set once the instance has started.
+        return {name: value for name, value in given.items() if value not in ([], ())}
 
     def _unknown(self, instance: Instance, values: Collection[str]) -> Collection[str]:
         """Of the ``values`` that ``instance`` starts with, those of unknown origin; after a crash, that is not kept."""

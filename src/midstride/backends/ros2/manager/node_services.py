@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces import srv as parameter_srv
+from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from midstride.backends.ros2.component.parameter_services import as_json
@@ -78,10 +79,16 @@ class RosNodeServices:
         if self._is_ambiguous:
             raise NoAnswer(f"more than one node is called {self._name}: either may answer for the other")
         names = (await self._call(parameter_srv.ListParameters, "list_parameters", timeout)).result.names
-        request = parameter_srv.GetParameters.Request(names=names)
-        values = (await self._call(parameter_srv.GetParameters, "get_parameters", timeout, request)).values
+        values = await self._values(names, timeout)
+        if len(values) < len(names):  # one has no value: then a node says none of those that it is asked for
+            each = [(await self._values([name], timeout), name) for name in names]
+            names, values = [name for found, name in each if found], [found[0] for found, _ in each if found]
         found = {name: as_json(parameter_value_to_python(value)) for name, value in zip(names, values, strict=False)}
         return {name: value for name, value in found.items() if value is not None}
+
+    async def _values(self, names: Sequence[str], timeout: float) -> list[Any]:
+        request = parameter_srv.GetParameters.Request(names=names)
+        return list((await self._call(parameter_srv.GetParameters, "get_parameters", timeout, request)).values)
 
     @property
     def _is_ambiguous(self) -> bool:
@@ -90,6 +97,12 @@ class RosNodeServices:
 
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        empty = [parameter for parameter in parameters if values[parameter.name] == []]
+        if empty:  # rclpy takes an empty list for bytes: it is of the type that the node has
+            current = await self._values([parameter.name for parameter in empty], timeout)
+            for parameter, value in zip(empty, current, strict=False):
+                if value.type >= ParameterType.PARAMETER_BYTE_ARRAY:
+                    parameter.value.type = value.type
         request = parameter_srv.SetParametersAtomically.Request(parameters=parameters)
         type_, service = _SETTING
         result = (await self._call(type_, service, timeout, request)).result
