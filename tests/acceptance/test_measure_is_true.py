@@ -241,13 +241,24 @@ async def heard(r: Rig, count: int) -> bool:
     return len((await r.client.read("sink", RecordsCommand(input="in"))).rows) >= count
 
 
+def seen_in(tmp_path: Path, order: tuple[str, str]) -> SwapReport:
+    """What is measured of a planted fault. If the machine stalls meanwhile, nothing can be counted: three attempts."""
+    for attempt in range(3):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        seen = run(planted(folder, order))
+        if seen.duplicates is not None:
+            break
+    return seen
+
+
 def test_a_planted_open_then_close_shows_duplicates(tmp_path: Path) -> None:
-    seen = run(planted(tmp_path, ("open", "close")))
+    seen = seen_in(tmp_path, ("open", "close"))
     assert seen.duplicates is not None and seen.duplicates >= 2
 
 
 @pytest.mark.full
 def test_a_planted_close_then_open_shows_missed(tmp_path: Path) -> None:
-    seen = run(planted(tmp_path, ("close", "open")))
+    seen = seen_in(tmp_path, ("close", "open"))
     assert seen.missed is not None and seen.missed >= 2
     assert seen.duplicates == 0
