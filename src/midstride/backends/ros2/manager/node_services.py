@@ -24,10 +24,16 @@ AGAIN: Final = 1.0
 Lost: TypeAlias = Callable[[], Awaitable[bool]]
 _SETTING: Final = (parameter_srv.SetParametersAtomically, "set_parameters_atomically")
 LIFECYCLE: Final = ("get_state", "change_state")
-PARAMETERS: Final = ("list_parameters", "get_parameters")
+PARAMETERS: Final = ("list_parameters", "get_parameters", "get_parameter_types")
 _TYPES: Final[Mapping[str, Any]] = {
     **dict(zip(LIFECYCLE, (GetState, ChangeState), strict=True)),
-    **dict(zip(PARAMETERS, (parameter_srv.ListParameters, parameter_srv.GetParameters), strict=True)),
+    **dict(
+        zip(
+            PARAMETERS,
+            (parameter_srv.ListParameters, parameter_srv.GetParameters, parameter_srv.GetParameterTypes),
+            strict=True,
+        )
+    ),
     _SETTING[1]: _SETTING[0],
 }
 _TRANSITIONS: Final = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4, "shutdown": 5}
@@ -81,8 +87,9 @@ class RosNodeServices:
         names = (await self._call(parameter_srv.ListParameters, "list_parameters", timeout)).result.names
         values = await self._values(names, timeout)
         if len(values) < len(names):  # one has no value: then a node says none of those that it is asked for
-            each = [(await self._values([name], timeout), name) for name in names]
-            names, values = [name for found, name in each if found], [found[0] for found, _ in each if found]
+            types = await self._types(names, timeout)
+            names = [name for name, type_ in types.items() if type_ != ParameterType.PARAMETER_NOT_SET]
+            values = await self._values(names, timeout)
         found = {name: as_json(parameter_value_to_python(value)) for name, value in zip(names, values, strict=False)}
         return {name: value for name, value in found.items() if value is not None}
 
@@ -90,19 +97,24 @@ class RosNodeServices:
         request = parameter_srv.GetParameters.Request(names=names)
         return list((await self._call(parameter_srv.GetParameters, "get_parameters", timeout, request)).values)
 
+    async def _types(self, names: Sequence[str], timeout: float) -> dict[str, int]:
+        request = parameter_srv.GetParameterTypes.Request(names=names)
+        found = (await self._call(parameter_srv.GetParameterTypes, "get_parameter_types", timeout, request)).types
+        return dict(zip(names, found, strict=False))
+
     @property
     def _is_ambiguous(self) -> bool:
-        """Whether a request may reach another node of the same name."""
+        """Return whether a request may reach another node of the same name."""
         return int(self._node.get_node_names_and_namespaces().count(split_name(self._name))) > 1
 
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         empty = [parameter for parameter in parameters if values[parameter.name] == []]
         if empty:  # rclpy takes an empty list for bytes: it is of the type that the node has
-            current = await self._values([parameter.name for parameter in empty], timeout)
-            for parameter, value in zip(empty, current, strict=False):
-                if value.type >= ParameterType.PARAMETER_BYTE_ARRAY:
-                    parameter.value.type = value.type
+            types = await self._types([parameter.name for parameter in empty], timeout)
+            for parameter in empty:
+                if (type_ := types.get(parameter.name, 0)) >= ParameterType.PARAMETER_BYTE_ARRAY:
+                    parameter.value.type = type_
         request = parameter_srv.SetParametersAtomically.Request(parameters=parameters)
         type_, service = _SETTING
         result = (await self._call(type_, service, timeout, request)).result
@@ -148,7 +160,7 @@ class RosNodeServices:
                 del waiting[number]
 
     def _offers(self, type_: Any, service: str) -> bool:
-        """Whether the graph shows the service, of which a client is made first."""
+        """Return whether the graph shows the service, of which a client is made first."""
         if service not in self._clients:
             name = f"{self._name}/{service}"
             self._clients[service] = self._node.create_client(type_, name, callback_group=self._group)
