@@ -114,40 +114,38 @@ class TopicForm(Form, frozen=True):
         return Connector(name, predicate, given(finite(self.max_publishers)), given(self.topic) or "")
 
 
-class ServiceForm(Form, frozen=True):
+class ServedForm(Form, frozen=True):
+    """A service or a ROS action: its type, and within what time (s) it answers."""
+
+    type: str
+    within: WithinForm | UnsetType = msgspec.field(default=UNSET, name="within_seconds")
+    topic: GraphName | UnsetType = UNSET
+
+    @classmethod
+    def of_connector(cls, connector: Connector) -> ServedForm:
+        return cls(connector.guarantee.type, stated(connector.guarantee.within), _other_name(connector))
+
+    def connector(self, name: str) -> Connector:
+        predicate = Predicate(self.type, within=given(finite(self.within)))
+        return Connector(name, predicate, topic=given(self.topic) or "")
+
+
+class ServiceForm(ServedForm, frozen=True):
     """A service: its type, and within what time (s) requests are answered."""
 
     what: ClassVar[str] = "a service"
 
     type: ServiceType
-    within: WithinForm | UnsetType = msgspec.field(default=UNSET, name="within_seconds")
-    service: GraphName | UnsetType = UNSET
-
-    @classmethod
-    def of_connector(cls, connector: Connector) -> ServiceForm:
-        return cls(connector.guarantee.type, stated(connector.guarantee.within), _other_name(connector))
-
-    def connector(self, name: str) -> Connector:
-        predicate = Predicate(self.type, within=given(finite(self.within)))
-        return Connector(name, predicate, topic=given(self.service) or "")
+    topic: GraphName | UnsetType = msgspec.field(default=UNSET, name="service")
 
 
-class ActionForm(Form, frozen=True):
+class ActionForm(ServedForm, frozen=True):
     """A ROS action: its type, and within what time (s) goals are accepted or rejected."""
 
     what: ClassVar[str] = "a ROS action"
 
     type: ActionType
-    within: WithinForm | UnsetType = msgspec.field(default=UNSET, name="within_seconds")
-    action: GraphName | UnsetType = UNSET
-
-    @classmethod
-    def of_connector(cls, connector: Connector) -> ActionForm:
-        return cls(connector.guarantee.type, stated(connector.guarantee.within), _other_name(connector))
-
-    def connector(self, name: str) -> Connector:
-        predicate = Predicate(self.type, within=given(finite(self.within)))
-        return Connector(name, predicate, topic=given(self.action) or "")
+    topic: GraphName | UnsetType = msgspec.field(default=UNSET, name="action")
 
 
 CONNECTOR_FORMS: Final[Mapping[ConnectorKind, type[TopicForm | ServiceForm | ActionForm]]] = {
