@@ -75,7 +75,7 @@ class ForeignCommands:
         return replies.Done()
 
     def _is_service(self, port: str) -> bool:
-        return port in self._node.record.topics and self._node.component.kind_of(port) != "topic"
+        return port in self._node.record.topics and self._node.component.is_service(port)
 
     def _of_service(self, command: Command[Any]) -> WireValue:
         """Carry out a command about a server or a client, which come and go with the process. Raises CommandRefused."""

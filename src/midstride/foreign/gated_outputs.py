@@ -19,7 +19,7 @@ from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
 from midstride.foreign.page import OPEN, OUTPUT, GoalState
 from midstride.foreign.ungated_outputs import UngatedOutputs
-from midstride.model.component import DEFAULT_STOP, GOAL_PATIENCE
+from midstride.model.component import GOAL_PATIENCE
 from midstride.node.control.attachments import READY_AFTER, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
@@ -198,8 +198,8 @@ class GatedOutputs(UngatedOutputs):
         if (other := page.answering(index)) is None:
             return replies.Answers()
         await self._peers_known(other, command, lambda: gates.has_clients_of(other))
-        self._gates.answer(command.drain)
-        await self._node.comes_true(lambda: self._gates.begun, command.drain)
+        gates.answer(command.drain)
+        await self._node.comes_true(lambda: gates.begun, command.drain)
         return replies.Answers(outlasting=0 if page.is_dead(other) else int(page.layout.nodes[other].unanswered))
 
     async def _peers_known(self, other: int, command: commands.AnswerCommand, known: Callable[[], bool]) -> None:
@@ -220,7 +220,7 @@ class GatedOutputs(UngatedOutputs):
         if not self._gates.succeeded:
             return
         found = await self._goals_end()
-        drain = (self._node.component.stop or DEFAULT_STOP).drain
+        drain = self._node.component.stop_times.drain
         await self._node.comes_true(lambda: self._gates.answered_all(LINGER), drain + LINGER)
         if left := int(self._gates.page.layout.nodes[self._gates.index].unanswered):
             what = "1 request that it had taken was" if left == 1 else f"{left} requests that it had taken were"

@@ -102,7 +102,7 @@ class ForeignNode:
 
     def adjust(self, port: str) -> None:
         """Open or close the gate of an output, as its attachment and the mode of its functionality say."""
-        if self.gates is None or not self.component.has_output(port) or self.component.kind_of(port) != "topic":
+        if self.gates is None or not self.component.has_output(port) or self.component.is_service(port):
             return
         owner = self.component.owner(port)
         works = self.record.modes[owner.name] != owner.modes[-1].name
@@ -196,13 +196,13 @@ class ForeignNode:
     def _gate_state(self, port: str) -> GateState | None:
         if not self.component.has_output(port):
             return None
-        if self.component.kind_of(port) != "topic":
+        if self.component.is_service(port):
             return "open" if self.record.links[port] == "open" and self.answers else "closed"
         return "open" if self.record.links[port] == "open" and (not self.gates or self.gates.has_it(port)) else "closed"
 
     def _link(self, port: str) -> LinkState:
         gates = self.gates
-        if self.component.kind_of(port) != "topic":
+        if self.component.is_service(port):
             return LinkState(gate=self._gate_state(port), count=0)
         if gates is None:
             silent = None if self.inactive is None or not self.component.has_output(port) else self.inactive()

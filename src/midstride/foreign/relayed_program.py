@@ -17,7 +17,7 @@ import msgspec
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, NodeError
-from midstride.model.component import DEFAULT_STOP, ComponentSpec, StopTimes
+from midstride.model.component import ComponentSpec, StopTimes
 from midstride.model.instance_names import dotted_name
 from midstride.wire.state import WireValue
 
@@ -55,7 +55,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
     @property
     def stop(self) -> StopTimes:
         """How its program is ended."""
-        return self.declaration.declared().stop or DEFAULT_STOP
+        return self.declaration.declared().stop_times
 
     def write(self, path: Path) -> None:
         """Raises BackendError."""

@@ -380,6 +380,11 @@ class ComponentSpec:
         """Whether its ROS 2 node is a lifecycle node, which is active in all modes but the last."""
         return self.gate in ("lifecycle", "lifecycle preload")
 
+    @property
+    def stop_times(self) -> StopTimes:
+        """How its program is ended: as it states, else as ROS's own `launch` does."""
+        return self.stop or DEFAULT_STOP
+
     def topic_of(self, port: str) -> str:
         """The name that a program without Midstride's API has for the topic of ``port``."""
         return self.topics.get(port, port)
@@ -419,7 +424,11 @@ class ComponentSpec:
 
     def service_ports(self) -> list[str]:
         """The servers and clients of services and ROS actions, as :meth:`ports` orders them."""
-        return [port for port in self.ports() if self.kind_of(port) != "topic"]
+        return [port for port in self.ports() if self.is_service(port)]
+
+    def is_service(self, port: str) -> bool:
+        """Return whether a port is a server or a client, of a service or ROS action."""
+        return self.kind_of(port) != "topic"
 
     def stated_rate(self, port: str, modes: Mapping[str, str]) -> float | None:
         """The rate (Hz) that an input assumes, or that an output guarantees in the mode of its functionality.

@@ -29,7 +29,7 @@ from midstride.model.action import (
     Swap,
     Upgrade,
 )
-from midstride.model.component import DEFAULT_STOP, PortRef
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import FEWEST_PERIODS, handover_seconds
 from midstride.plan.state_continuity import left_behind, without_outputs
@@ -400,7 +400,7 @@ class ActionDriver:
     async def _change_answering(self, leaving: str, runs: bool) -> None:
         """If another instance has the role of one that leaves, have it answer requests from now on."""
         role = self.configuration.instances[leaving].role
-        drain = (self.configuration.component(leaving).stop or DEFAULT_STOP).drain
+        drain = self.configuration.component(leaving).stop_times.drain
         for other in self.configuration.instances_of(role):
             if other.name != leaving and not self.system.life.is_gone(other.name):
                 try:

@@ -13,7 +13,7 @@ from msgspec import structs
 
 from midstride import verdicts
 from midstride.model.action import Create, Remove
-from midstride.model.component import DEFAULT_STOP, GOAL_PATIENCE, ComponentSpec
+from midstride.model.component import GOAL_PATIENCE, ComponentSpec
 from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
@@ -151,7 +151,7 @@ def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[
         before, after = plan.change.component_of(old), plan.change.component_of(new)
         latest = states.get(old)
         if latest is not None and before.preloads and after.preloads and (shared := shared_services(latest.state)):
-            drain = (before.stop or DEFAULT_STOP).drain
+            drain = before.stop_times.drain
             yield (
                 f"{new} answers {verdicts.listed(shared)} once {old} has answered the requests that it has taken, "
                 f"after {drain:g} s (`drain`) at the latest"

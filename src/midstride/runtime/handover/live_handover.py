@@ -19,7 +19,7 @@ from immutables import Map
 
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Swap
-from midstride.model.component import DEFAULT_STOP, PortRef
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.cancellation import all_of
@@ -208,7 +208,13 @@ class LiveHandover:
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self._services}):
             if self.before_cut is not None:
                 await self.before_cut(old, new)
-            await have_answer(self.client, new, instead_of=None if self.client.life.is_gone(old) else old)
+            await self._have_answer_for(old, new)
+
+    async def _have_answer_for(self, old: str, new: str) -> None:
+        """Have ``new`` answer requests instead of ``old``, and note what that has left. Raises MidstrideError."""
+        runs, drain = not self.client.life.is_gone(old), self.configuration.component(old).stop_times.drain
+        if (left := await have_answer(self.client, new, old if runs else None, drain)) is not None:
+            self.events.add("note", left)
 
     async def _open_servers(self) -> None:
         for swap in self._services:
@@ -223,12 +229,8 @@ class LiveHandover:
         instances = self.configuration.instances
         for old, new in self._pairs:
             if old != new and instances[old].role == instances[new].role:
-                runs = not self.client.life.is_gone(old)
-                drain = (instances[old].component.stop or DEFAULT_STOP).drain
                 try:
-                    left = await have_answer(self.client, new, old if runs else None, drain)
-                    if left is not None:
-                        self.events.add("note", left)
+                    await self._have_answer_for(old, new)
                 except MidstrideError as error:
                     self.events.add("note", f"{new} does not answer requests to {instances[new].role} yet: {error}")
 

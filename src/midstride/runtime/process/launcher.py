@@ -66,7 +66,7 @@ def stop_times(component: ComponentSpec, asked: float = 0.0) -> StopTimes:
     """
     if component.gate is None:
         return StopTimes(0.0, max(STOP_GRACE, asked))
-    stop = component.stop or DEFAULT_STOP
+    stop = component.stop_times
     return StopTimes(0.0, stop.longest + max(STOP_GRACE, asked)) if component.gate == "relay" else stop
 
 

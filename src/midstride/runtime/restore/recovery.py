@@ -92,7 +92,9 @@ async def recover(
             if successor.role == instance.role and other not in redundant:
                 stays = theirs
                 with suppress(MidstrideError):
-                    await have_answer(client, other, instead_of=name)
+                    left = await have_answer(client, other, name, instance.component.stop_times.drain)
+                    if left is not None:
+                        events.add("note", left)
         await half_done.end(instance, state, "which an earlier manager had left half done", stays)
     for name in found:
         await have_answer(client, name)
