@@ -1063,7 +1063,7 @@ declare namespace Api {
     fields?: FieldStatus[];
   }
 
-  /** What messages are like, or how soon a service or ROS action answers: a guarantee, or an assumption. */
+  /** A guarantee or an assumption: what messages are like, or how soon a service or ROS action answers. */
   interface PredicateForm {
     /** the type of a message, pkg/msg/Type or pkg/Type, of a service, pkg/srv/Type, or of a ROS action, pkg/action/Type */
     type: string;

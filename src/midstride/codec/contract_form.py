@@ -144,7 +144,7 @@ WithinForm: TypeAlias = Annotated[
 
 
 class PredicateForm(Form, frozen=True):
-    """What messages are like, or how soon a service or ROS action answers: a guarantee, or an assumption."""
+    """A guarantee or an assumption: what messages are like, or how soon a service or ROS action answers."""
 
     what: ClassVar[str] = "a predicate"
 

@@ -21,7 +21,7 @@ _OF_ROS: Final = ("qos_overrides.", "start_type_description_service")
 
 
 class ParameterRecord(Protocol):
-    """What is known of the parameters of a node since its start; :class:`midstride.foreign.record.ForeignRecord`."""
+    """The part of a :class:`midstride.foreign.record.ForeignRecord` that concerns the parameters since the start."""
 
     @property
     def instance(self) -> str: ...

@@ -207,7 +207,7 @@ class Gates:
         return Counter(action for action, state in self.page.goals(self.index) if state in wanted)
 
     def goals_beyond(self) -> str | None:
-        """What is to be said of goals that are not known: the page had no room for them."""
+        """Say how many goals are not known since the page had no room for them; None if there is none."""
         beyond = self.page.layout.nodes[self.index].unknown
         return f"{beyond} of its goals were not known, since {GOALS} others were in progress" if beyond else None
 

@@ -154,7 +154,7 @@ class PageAdded(ctypes.Structure):
 
 
 class GoalState(IntEnum):
-    """What is known of a goal of a ROS action; ``goals.h`` has the steps."""
+    """The states of a goal of a ROS action; ``goals.h`` has the steps."""
 
     NO_GOAL = 0
     RESERVED = 1

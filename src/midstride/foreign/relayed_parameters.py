@@ -20,7 +20,7 @@ PARAMETERS_LOOK: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class RelayedRecord:
-    """As :class:`midstride.foreign.record.ForeignRecord`, and in no file: a program ends with its relay."""
+    """The record of a program behind a relay: a ``ParameterRecord`` in no file, as the program ends with its relay."""
 
     instance: str
     node: str
@@ -46,7 +46,7 @@ class RelayedNode:
 
 
 class RelayedParameters:
-    """Those of ``node``, by its own ``services``."""
+    """The parameters of ``node``, read and set by its own ``services``."""
 
     def __init__(self, node: RelayedNode, services: ParameterAccess) -> None:
         self._node = node

@@ -21,7 +21,7 @@ _LOOK: Final = 0.02
 
 
 class AddressedServices(RosNodeServices):
-    """Those of the node ``index`` of ``page``, with the full name ``name``: see :class:`RosNodeServices`.
+    """The services of the node ``index`` of ``page``, with the full name ``name``: see :class:`RosNodeServices`.
 
     ``alone``: no other process had its name when it was started, so what the library does not see may be asked by ROS.
     """

@@ -112,7 +112,7 @@ class ForeignNodes:
         return self._own_names.start_name(launch, component, lambda node: runs(node) or self.runs(node))
 
     def _can_share(self, record: ForeignRecord) -> bool:
-        """Whether another node may have the name of this one: its library claims requests."""
+        """Return whether another node may have the name of this one: its library claims requests."""
         return bool(record.node) and self.tells_processes and self._servers(record) is not None
 
     def marked(self) -> dict[bytes, InstanceNode]:
@@ -299,7 +299,7 @@ class ForeignNodes:
         return node in self._relayed.values() or any(a.node.record.node == node for a in self._agents.values())
 
     def runs_unmarked(self, node: str) -> bool:
-        """The same, of processes that are not marked: what the graph shows does not tell them from others."""
+        """Return whether a process has this node, and no mark by which the graph tells it from others."""
         records = (agent.node.record for agent in self._agents.values())
         return node in self._relayed.values() or any(each.node == node and not self._mark(each) for each in records)
 
@@ -408,7 +408,7 @@ class ForeignNodes:
         await agent.open(self._transport)
 
     def _services_to(self, record: ForeignRecord) -> NodeServices | None:
-        """What the node of ``record`` can be asked: where another may have its name, this one alone."""
+        """Return the services of the node of ``record``: of this one alone, where another may have its name."""
         if self._addressed is None or record.index is None or self._page is None:
             return self._services(record.node)
         return self._addressed(record.node, self._page, record.index, record.node != record.predecessor)
