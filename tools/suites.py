@@ -46,7 +46,10 @@ GRACE = 5.0
 # The tests that compute most of the time. The others wait, for processes and for messages.
 COMPUTING = (
     *(f"tests/{name}" for name in "capture codec examples lang model node plan runtime simulation verify wire".split()),
+    "tests/docs/test_site.py",
     "tests/foreign/test_baton_model.py",
+    "tests/foreign/test_goals_model.py",
+    "tests/server/test_openapi_conformance.py",
 )
 # What concerns a platform, every day: the back ends, and ...
 PLATFORM = ("tests/backends", "tests/test_ground.py")

@@ -107,6 +107,10 @@ class Actions:
     def goals(self, name: int) -> list[GoalState]:
         return [state for _, state in self.page.goals(self.indices[name])]
 
+    async def reach(self, name: int, expected: list[GoalState]) -> None:
+        """Wait for its goals' states: the library records a response that it has sent, maybe after it has arrived."""
+        await self.bare.until(lambda: sorted(self.goals(name)) == expected)
+
     def close(self) -> None:
         self.client.destroy()
         for process in self.processes.values():
@@ -136,7 +140,8 @@ def test_a_goal_stays_with_the_server_that_has_accepted_it(actions: Actions) -> 
         finishes = await actions.accepted(40, lambda message: heard.append(message.feedback.sequence[-1]))
         asked = finishes.get_result_async()
         stopped, among_all = await actions.accepted(100_000), await actions.accepted(100_000)
-        assert sorted(actions.goals(OLD)) == [GoalState.ACCEPTED] * 3 and not actions.goals(NEW)
+        await actions.reach(OLD, [GoalState.ACCEPTED] * 3)
+        assert not actions.goals(NEW)
         actions.give(NEW)
         before = len(heard)
 
@@ -144,7 +149,7 @@ def test_a_goal_stays_with_the_server_that_has_accepted_it(actions: Actions) -> 
         short, new = await actions.accepted(2), await actions.accepted(100_000)
         done = await actions.result(short.get_result_async())
         assert (done.status, list(done.result.sequence)) == (GoalStatus.STATUS_SUCCEEDED, [0, 1, NEW])
-        assert sorted(actions.goals(NEW)) == [GoalState.ACCEPTED, GoalState.FETCHED]
+        await actions.reach(NEW, [GoalState.ACCEPTED, GoalState.FETCHED])
         answer = await actions.result(stopped.cancel_goal_async())
         assert [bytes(each.goal_id.uuid) for each in answer.goals_canceling] == [bytes(stopped.goal_id.uuid)]
         done = await actions.result(stopped.get_result_async())
@@ -165,7 +170,7 @@ def test_a_goal_stays_with_the_server_that_has_accepted_it(actions: Actions) -> 
         for goal, server in ((among_all, OLD), (new, NEW), (third, NEW)):
             done = await actions.result(goal.get_result_async())
             assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, server)
-        assert set(actions.goals(OLD)) == {GoalState.FETCHED}, "the old one has drained"
+        await actions.bare.until(lambda: set(actions.goals(OLD)) == {GoalState.FETCHED})  # it has drained
 
         # The new one dies, and the old one goes on.
         actions.processes[NEW].send_signal(signal.SIGKILL)
