@@ -61,7 +61,6 @@ SECOND_PLATFORM = (
     "tests/acceptance/test_foreign_swaps.py",
     "tests/acceptance/test_lifecycle_nodes.py",
     "tests/acceptance/test_measure_is_true.py",
-    "tests/acceptance/test_node_name.py",
     "tests/acceptance/test_ros_action.py",
     "tests/acceptance/test_simulated_time.py",
     "tests/cli/test_ros2.py",
@@ -170,7 +169,7 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={folder}" for folder in COMPUTING]
-        workers = (processors * 3 + 1) // 2
+        workers = processors * 2 if markers == "not long" else processors * 3 // 2  # computing runs beside them daily
         found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]

@@ -141,7 +141,7 @@ def assert_found_whole(printed: str) -> None:
 
 @pytest.mark.full
 def test_whatever_write_the_manager_is_killed_at_the_next_one_finds_a_whole_system(tmp_path: Path) -> None:
-    killed_at_writes(tmp_path, 5, longest=2.0)
+    killed_at_writes(tmp_path, 4, longest=2.0)
 
 
 @pytest.mark.long

@@ -34,7 +34,7 @@ def test_the_readme_shows_it() -> None:
 
 
 @pytest.mark.browser
-@pytest.mark.full
+@pytest.mark.long
 def test_the_animation_can_be_made_anew(tmp_path: Path) -> None:
     made = tmp_path / "swap.svg"
     command = [sys.executable, str(ROOT / "tools" / "animation.py"), str(made)]
