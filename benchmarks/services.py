@@ -1,7 +1,8 @@
 """What replacing a server costs its clients: 20 bare clients at 10 Hz, each with one request at a time, on real ROS 2.
 
-Nodes without Midstride's API behind `gate preload`, in plain rclpy and in C on rcl, replaced by Midstride; beside them
-a server that is killed and another one started, whose clients give a request up after 1 s; and one that stays.
+Components with Midstride's API, and nodes without it behind `gate preload`, in plain rclpy and in C on rcl, replaced by
+Midstride; beside them a server that is killed and another one started, whose clients give a request up after 1 s; and
+one that stays.
 Clients and servers count, in the same way for each. *At the cut* is what was sent between the last response of the old
 server and the first one of the new server, or at most a period (0.1 s) before or after.
 
@@ -30,7 +31,7 @@ sys.path.append(str(ROOT))
 
 from midstride.lang.load import load  # noqa: E402
 from tests.acceptance.foreign_support import robot  # noqa: E402
-from tests.acceptance.serving import Answered, Calls, calling, written  # noqa: E402
+from tests.acceptance.serving import Answered, Calls, calling, written, written_with_the_api  # noqa: E402
 from tests.backends.ros2_support import without_midstride  # noqa: E402
 
 PERIOD = 0.1
@@ -78,9 +79,10 @@ def figures(calls: Calls, swaps: int) -> Figures:
 async def replaced(folder: Path, swaps: int, kinds: tuple[str, str]) -> tuple[Figures, list[str]]:
     """Midstride replaces the server; with the reasons of what was rolled back."""
     rolled_back: list[str] = []
-    async with robot(load(written(folder)).require(), folder) as system:
+    path = written_with_the_api(folder) if "Ours" in kinds else written(folder)
+    async with robot(load(path).require(), folder) as system:
         done = 0
-        if kinds[1] != "Plain":
+        if kinds[1] not in ("Plain", "Ours"):
             await system.replaced(kinds[1])
         async with calling(folder, system.until) as calls:
             while done < swaps:
@@ -143,6 +145,7 @@ async def steady(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
 
 Way = Callable[[Path, int], Awaitable[tuple[Figures, list[str]]]]
 WAYS: dict[str, Way] = {
+    "replaced, API": lambda folder, swaps: replaced(folder, swaps, ("OurOther", "Ours")),
     "replaced, rclpy": lambda folder, swaps: replaced(folder, swaps, ("Other", "Plain")),
     "replaced, C": lambda folder, swaps: replaced(folder, swaps, ("Info", "Id")),
     "killed": killed,

@@ -14,7 +14,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from midstride.errors import MidstrideError, NodeError
+    from midstride.errors import MidstrideError, NodeError, Unanswered
     from midstride.model.contract import QoS
     from midstride.node.author.component_class import Component
     from midstride.node.author.declared_contracts import at_least, at_most, between, guarantee
@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from midstride.node.author.functionality import Functionality
     from midstride.node.author.modes import approximate
     from midstride.node.author.ports import Input, Output, any_of
+    from midstride.node.author.service_ports import ClientPort, ServerPort
     from midstride.wire.state import Measured
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "ClientPort",
     "Component",
     "Functionality",
     "Input",
@@ -36,6 +38,8 @@ __all__ = [
     "Output",
     "Parameter",
     "QoS",
+    "ServerPort",
+    "Unanswered",
     "__version__",
     "any_of",
     "approximate",
@@ -46,6 +50,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "ClientPort": "midstride.node.author.service_ports",
     "Component": "midstride.node.author.component_class",
     "Functionality": "midstride.node.author.functionality",
     "Input": "midstride.node.author.ports",
@@ -55,6 +60,8 @@ _HOMES = {
     "Output": "midstride.node.author.ports",
     "Parameter": "midstride.node.author.declared_parameters",
     "QoS": "midstride.model.contract",
+    "ServerPort": "midstride.node.author.service_ports",
+    "Unanswered": "midstride.errors",
     "any_of": "midstride.node.author.ports",
     "approximate": "midstride.node.author.modes",
     "at_least": "midstride.node.author.declared_contracts",

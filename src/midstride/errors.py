@@ -5,6 +5,7 @@
     ├── ActionRefused           an action's precondition does not hold; nothing has changed
     ├── PlanRefused             no plan meets the request; says why
     ├── NodeError               the author's API was used wrongly
+    ├── Unanswered              a request of a client ends without a response
     ├── CommandRefused          a component refused a command of the manager (token, state)
     │   └── RevisionChanged     it has changed since the manager last heard of it
     ├── BackendError            the platform below failed
@@ -61,6 +62,10 @@ class PlanRefused(MidstrideError):
 
 class NodeError(MidstrideError):
     """The author's API was used wrongly. The message says what is wrong, where, and what to write instead."""
+
+
+class Unanswered(MidstrideError):
+    """A request to a service ends without a response: its server has gone, or takes longer than its bound allows."""
 
 
 class CommandRefused(MidstrideError):

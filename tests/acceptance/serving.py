@@ -1,4 +1,4 @@
-"""Servers in plain rclpy and in C on rcl, the bare clients that call them, and what both have counted."""
+"""Servers in plain rclpy, in C on rcl and with the API, bare clients that call them, and what both have counted."""
 
 from __future__ import annotations
 
@@ -51,6 +51,70 @@ try:
     rclpy.spin(node)
 except (KeyboardInterrupt, ExternalShutdownException):
     pass
+"""
+
+# With the API: the same, as a port. It does not note requests of the name `-`, and fails at those of depth 77.
+OURS: Final = """
+import time
+from pathlib import Path
+
+from midstride import Component
+from rcl_interfaces.srv import ListParameters
+from std_msgs.msg import String
+
+comp = Component("Ours")
+calls = (Path(__file__).parent / "calls").open("a", buffering=1)
+number = 0
+
+def normal():
+    global number
+    number += 1
+    out.write(String(data=f"{comp.instance} {number}"))
+
+def answer(request, response):
+    if request.prefixes[0] != "-":
+        calls.write(f"{request.prefixes[0]} {comp.instance}\\n")
+    if request.depth == 77:
+        raise ValueError("77 is too deep")
+    if request.depth:
+        time.sleep(request.depth / 1000)
+    response.result.names = [comp.instance]
+
+def refuse(request, response):
+    response.result.names = ["refused"]
+
+out = comp.create_output("out", String)
+count = comp.create_server("count", ListParameters, answer, within=0.5)
+map = comp.create_server("map", ListParameters, answer, refusal=refuse)
+talk = comp.create_functionality("talk", outputs=[out])
+talk.set_normal_mode(normal, rate=50, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+for name, port in (("counting", count), ("mapping", map)):
+    functionality = comp.create_functionality(name, outputs=[port])
+    functionality.set_normal_mode(lambda: None, outputs=[port])
+    functionality.set_degraded_mode(lambda: None, name="off")
+comp.start()
+"""
+OUR_SYSTEM: Final = """system serving
+contract Listing = rcl_interfaces/srv/ListParameters
+topic /chat : std_msgs/msg/String @ 50 Hz
+service /count : rcl_interfaces/srv/ListParameters responds within 0.5 s
+service /map : Listing
+component Ours {
+  run "python3 ours.py"
+  output out
+  server count
+  server map
+  functionality talk { produces out  mode normal { guarantee out : std_msgs/msg/String @ 50 Hz }  mode degraded { } }
+  functionality counting {
+    produces count
+    mode normal { guarantee count : rcl_interfaces/srv/ListParameters responds within 0.5 s }
+    mode off { }
+  }
+  functionality mapping { produces map  mode normal { guarantee map : Listing }  mode off { } }
+}
+component OurOther like Ours { run "python3 ours.py" }
+node talker : Ours { out -> /chat  count -> /count  map -> /map }
 """
 
 # Bare clients, each with one request at a time, until SIGTERM. It writes each: its name, its latency (s), who answered,
@@ -175,6 +239,18 @@ def written(folder: Path) -> Path:
         text += declared_talker(name, f"./c_server 20000000 {name.lower()}", "preload")
     path = folder / "serving.stride"
     path.write_text(f"{text}node talker : Plain {{ out -> /chat }}\n", encoding="utf-8")
+    return path
+
+
+def written_with_the_api(folder: Path, more: str = "") -> Path:
+    """A system with a talker that serves with the API, and the clients, in ``folder``; ``more``: of the specification.
+
+    It is an `Ours`, and can become an `OurOther`.
+    """
+    (folder / "ours.py").write_text(OURS)
+    (folder / "clients.py").write_text(CLIENTS)
+    path = folder / "ours.stride"
+    path.write_text(OUR_SYSTEM + more, encoding="utf-8")
     return path
 
 

@@ -1,4 +1,4 @@
-"""Services of nodes without Midstride's API across replacements: every request is handled once, by bare clients' count.
+"""Services of nodes of every kind across replacements: every request is handled once, by bare clients' count.
 
 MIDSTRIDE_REPLACEMENTS says how many replacements the long test makes, where 200 take too long.
 """
@@ -19,7 +19,7 @@ from midstride.lang.load import load
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.foreign_support import declared_talker, robot
-from tests.acceptance.serving import Calls, called, calling, written
+from tests.acceptance.serving import Calls, called, calling, written, written_with_the_api
 from tests.acceptance.support import ended
 from tests.acceptance.test_manager_killed import calls_of_a_swap, kill_the_manager, manage
 from tests.backends.ros2_support import run, until
@@ -33,7 +33,8 @@ def replaced(folder: Path, components: Sequence[str]) -> None:
     """Replace the server by each of ``components`` under 20 clients; print what that costs them."""
 
     async def scenario() -> None:
-        async with robot(load(written(folder)).require(), folder) as system:
+        path = written_with_the_api(folder) if "Ours" in components else written(folder)
+        async with robot(load(path).require(), folder) as system:
             async with called(folder, system) as calls:
                 for component in components:
                     await system.replaced(component)
@@ -92,7 +93,7 @@ def test_what_outlasts_its_time_to_answer_is_in_plan_and_report(tmp_path: Path) 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kinds", [("Other", "Plain"), ("Id", "Info")])
+@pytest.mark.parametrize("kinds", [("Other", "Plain"), ("Id", "Info"), ("OurOther", "Ours")])
 def test_every_request_is_handled_once_across_many_replacements(tmp_path: Path, kinds: tuple[str, str]) -> None:
     replaced(tmp_path, list(islice(cycle(kinds), REPLACEMENTS)))
 

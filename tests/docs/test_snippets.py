@@ -34,6 +34,7 @@ ON_ROS_2 = {
     "docs/how-to/bring-your-robot.md",
     "docs/how-to/from-launch-files.md",
     "docs/how-to/replace-a-server.md",
+    "docs/how-to/services.md",
     "docs/how-to/unmodified-nodes.md",
 }
 RUN = {"sh", "python", "text", "json"}

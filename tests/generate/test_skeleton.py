@@ -107,6 +107,40 @@ def test_the_skeleton_of_any_component_matches_its_declaration(component: Compon
 
 
 @pytest.mark.usefixtures("messages")
+def test_servers_and_clients_are_declared_with_their_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    services = types.ModuleType("demo_msgs.srv")
+    for name in ("GetMap", "Count"):
+        parts = {part: type(part, (), {}) for part in ("Request", "Response")}
+        setattr(services, name, type(name, (), {"__module__": f"demo_msgs.srv._{snake(name)}", **parts}))
+    monkeypatch.setitem(sys.modules, "demo_msgs.srv", services)
+    declared = (
+        load_text(
+            """system s component C {
+              run "python3 node.py"   output out   server count
+              client map : demo_msgs/srv/GetMap responds within 0.1 s
+              input a : demo_msgs/msg/A
+              functionality f {
+                uses map, a   produces out, count
+                mode normal {
+                  assume map   assume a
+                  guarantee out : demo_msgs/msg/B
+                  guarantee count : demo_msgs/srv/Count responds within 50 ms
+                }
+                mode slow { assume map   guarantee count : demo_msgs/srv/Count responds within 1 s }
+                mode off { }
+              }
+            }"""
+        )
+        .require()
+        .components["C"]
+    )
+    (text,) = skeletons(of(declared)).values()
+    assert mismatches(declared, registered(text, "C")) == []
+    assert "create_client('map', GetMap, within=0.1)" in text
+    assert "create_server('count', Count, self.answer_count, within=0.05)" in text
+
+
+@pytest.mark.usefixtures("messages")
 def test_numbers_of_many_digits_are_written_as_they_are() -> None:
     declared = (
         load_text(

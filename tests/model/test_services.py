@@ -121,19 +121,31 @@ def test_without_the_library_a_hand_over_of_a_server_is_refused_before_anything_
         require_arbiters(plan)
 
 
-@pytest.mark.parametrize("gate", ["", " gate relay"])
-def test_programs_whose_servers_nothing_can_find_are_refused(gate: str) -> None:
+@pytest.mark.parametrize(("gate", "refused"), [("", ["dock", "dock"]), (" gate relay", ["dock", "dock", "map", "map"])])
+def test_servers_and_clients_that_cannot_be_ports_are_refused(gate: str, refused: list[str]) -> None:
     result = load_text(TEXT.replace(" gate preload", gate))
     assert {each.code for each in result.diagnostics} == {"E027"}
-    assert len(result.diagnostics) == 4
+    named = [each.message.partition(" cannot be declared yet")[0].split()[-1] for each in result.diagnostics]
+    assert sorted(named) == refused
+
+
+def test_a_server_is_handed_over_between_two_components_of_one_kind_only() -> None:
+    own = TEXT.replace('run "server" gate preload', 'run "server"')
+    specification = load_text(own).require()
+    require_arbiters(restarted(specification, "map_server"))
+    changed = load_text(own + 'component Plain like Server { run "plain" gate preload }\n').require()
+    request = PlanRequest(replace=(("map_server", "Plain"),))
+    plan = planner()(requested_change(initial(changed), changed, request, request.target(changed)))
+    with pytest.raises(PlanRefused, match="map_server uses Midstride's API, and the other one does not, so both would"):
+        require_arbiters(plan)
 
 
 def test_what_cannot_be_done_yet_says_so() -> None:
     specification = load_text(TEXT).require()
     with pytest.raises(PlanRefused, match="services and ROS actions cannot be simulated yet: /dock, /map"):
         with_stand_ins(specification)
-    with pytest.raises(SpecificationError, match=r"the servers and clients of Server \(map\) cannot be generated yet"):
-        skeleton(specification.components["Server"], "map_server")
+    with pytest.raises(SpecificationError, match=r"the ROS actions of Docking \(dock\) cannot be ports"):
+        skeleton(specification.components["Docking"], "docking")
 
 
 def test_alloy_is_given_which_bounds_satisfy_which() -> None:

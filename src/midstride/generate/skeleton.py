@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -45,11 +45,11 @@ class Skeleton:
 def skeleton(component: ComponentSpec, node: str, environment: tuple[EnvironmentGuarantee, ...] = ()) -> Skeleton:
     """The skeleton of ``component``, with the default node name ``node``.
 
-    Raises SpecificationError if no mode states the type of an output, or if it has servers or clients.
+    Raises SpecificationError if no mode states the type of an output, or if it has ROS actions.
     """
-    if services := component.service_ports():
+    if actions := [port for port in component.service_ports() if component.kind_of(port) == "action"]:
         raise SpecificationError(
-            f"the servers and clients of {component.name} ({', '.join(services)}) cannot be generated yet"
+            f"the ROS actions of {component.name} ({', '.join(actions)}) cannot be ports of Midstride's API yet"
         )
     name = f"{component.name}Node" if component.name in _IMPORTED else component.name
     return _Builder(component, environment, Skeleton(name, node)).build()
@@ -70,6 +70,10 @@ class _Builder:
         self._import_types()
         for name in component.input_order:
             self.ports[name] = self.names.take(name, "input")
+            if component.is_service(name):
+                arguments = [repr(name), self.classes[component.inputs[name].type], *_within([component.inputs[name]])]
+                result.declarations.append(f"{self.ports[name]} = self.component.create_client({', '.join(arguments)})")
+                continue
             arguments = [repr(name), *self._stated(component.inputs[name])]
             if name in component.tolerates:
                 arguments.append(f"tolerates={component.tolerates[name]}")
@@ -79,6 +83,9 @@ class _Builder:
         for name in component.outputs:
             self.ports[name] = self.names.take(name, "output")
             type_, qos = self._endpoint(name)
+            if component.is_service(name):
+                self._server(name, self.classes[type_])
+                continue
             arguments = [repr(name), self.classes[type_], *self._qos(qos)]
             result.declarations.append(f"{self.ports[name]} = self.component.create_output({', '.join(arguments)})")
         self._parameters()
@@ -86,6 +93,16 @@ class _Builder:
             self._functionality(functionality)
         result.midstride = sorted(self.used, key=lambda name: (name[0].islower(), name))
         return result
+
+    def _server(self, name: str, type_: str) -> None:
+        modes = self.component.owner(name).modes
+        stated = [mode.guarantees[name] for mode in modes if name in mode.guarantees]
+        method = self.names.take(f"answer_{name}")
+        about = f"Answers a request to `{name}`: fill the response."
+        arguments = f"self, request: {type_}.Request, response: {type_}.Response"
+        self.result.methods.append(Method(method, arguments, about, ()))
+        created = ", ".join([repr(name), type_, f"self.{method}", *_within(stated)])
+        self.result.declarations.append(f"{self.ports[name]} = self.component.create_server({created})")
 
     def _endpoint(self, output: str) -> tuple[str, QoS]:
         endpoint = self.component.output_endpoint(output)
@@ -104,17 +121,18 @@ class _Builder:
         names: dict[str, list[str]] = {}
         for type_ in sorted(types):
             names.setdefault(type_.rpartition("/")[2], []).append(type_)
-        modules: dict[str, list[str]] = {}
+        modules: dict[tuple[str, str], list[str]] = {}
         for name, alike in names.items():
             for type_ in alike:
-                package = type_.partition("/")[0]
+                package, folder, _ = type_.split("/")
                 own = name in {*_IMPORTED, self.result.name, f"{self.result.name}Base"} or len(alike) > 1
                 called = f"{package.title().replace('_', '')}{name}" if own else name
                 self.classes[type_] = called
-                modules.setdefault(package, []).append(name if called == name else f"{name} as {called}")
-        for package, imported in sorted(modules.items()):
-            self.result.imports.append(f"from {package}.msg import {', '.join(imported)}")
-            self.result.packages.append(package)
+                modules.setdefault((package, folder), []).append(name if called == name else f"{name} as {called}")
+        for (package, folder), imported in sorted(modules.items()):
+            self.result.imports.append(f"from {package}.{folder} import {', '.join(imported)}")
+            if package not in self.result.packages:
+                self.result.packages.append(package)
 
     def _stated(self, predicate: Predicate) -> Iterator[str]:
         """An input's assumption as arguments."""
@@ -185,7 +203,7 @@ class _Builder:
         guarantees = [(name, mode.guarantees[name]) for name in functionality.outputs if name in mode.guarantees]
         rates = [guarantee.rate for _, guarantee in guarantees if guarantee.rate is not None]
         assumed = list(self._assumed(functionality, mode))
-        inputs = [name for names in assumed for name in names]
+        inputs = [name for names in assumed for name in names if not self.component.is_service(name)]
         method = self.names.take(f"{functionality.name}_{mode.name}")
         body = tuple(line for name, guarantee in guarantees for line in self._write(name, guarantee))
         about = self._about(functionality, mode)
@@ -248,6 +266,8 @@ class _Builder:
 
     def _write(self, output: str, guarantee: Predicate) -> Iterator[str]:
         """Code that writes a message which meets the guarantee."""
+        if guarantee.kind != "topic":
+            return
         type_ = self.classes[guarantee.type]
         if not guarantee.fields:
             yield f"self.{self.ports[output]}.write({type_}())"
@@ -257,6 +277,12 @@ class _Builder:
         for path, values in guarantee.fields:
             yield f"{message}.{path} = {_example_value(values)!r}"
         yield f"self.{self.ports[output]}.write({message})"
+
+
+def _within(stated: Iterable[Predicate]) -> list[str]:
+    """The shortest bound that is stated, as an argument; none where none is."""
+    bounds = [each.within for each in stated if each.within is not None]
+    return [f"within={format_number(min(bounds))}"] if bounds else []
 
 
 def _example_value(values: ValueSet) -> Scalar:

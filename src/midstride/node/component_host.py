@@ -69,6 +69,32 @@ class Subscription(Protocol):
     def destroy(self) -> None: ...
 
 
+class ServedService(Protocol):
+    """A service that a server answers. Used on the data thread."""
+
+    def retire(self) -> None:
+        """Answer the requests that have arrived, then leave the graph.
+
+        While another instance of the role answers, it stays there until the process ends: it passes on what only it
+        receives.
+        """
+
+
+class CalledService(Protocol):
+    """A client's side of a service. Used on the data thread, except where stated."""
+
+    def call(self, request: Any) -> Any:
+        """Send ``request``; the platform's future of the response."""
+
+    def abandon(self, future: Any, error: Exception) -> None:
+        """Wait for this response no longer: the future ends with ``error``."""
+
+    def matched(self) -> int:
+        """1 where the graph shows a server, else 0. On the control thread."""
+
+    def destroy(self) -> None: ...
+
+
 class Timer(Protocol):
     """Calls at ``epoch + n * period`` on the ROS clock; a late call skips slots, it does not burst.
 
@@ -127,6 +153,8 @@ class Host(Protocol):
     # Whether a manager has welcomed the component, which says so here.
     managed: bool
     parameters: NodeParameters
+    # Whether servers and clients of services can be ports.
+    has_services: bool
     # Which requests the component answers; a platform whose instances have one node name has its services ask it.
     admission: RequestAdmission
 
@@ -189,6 +217,15 @@ class Host(Protocol):
         """
 
     def read_info(self, info: Any) -> MessageInfo: ...
+
+    def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> ServedService:
+        """``answer(request, response)`` returns the response, None for none, or an awaitable of these.
+
+        It is called for what ``admission`` admits. Raises NodeError where there are no services.
+        """
+
+    def create_client(self, name: str, type_: type) -> CalledService:
+        """Raises NodeError where there are no services."""
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Timer:
         """``callback(first, last)``: the nominal times (ns) of the slots that the call accounts for.

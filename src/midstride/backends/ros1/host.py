@@ -15,7 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NoReturn, TypeVar
 
 import msgspec
 import rospy
@@ -61,6 +61,7 @@ class Ros1Host:
     """
 
     ros_node: Any = rospy  # there, a process is one node
+    has_services = False
 
     def __init__(self, name: str, namespace: str, node: str = "") -> None:
         managed = bool(os.environ.get(ENV_TOKEN))
@@ -137,6 +138,12 @@ class Ros1Host:
         self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
     ) -> PortSubscription:
         return PortSubscription(topic, type_, qos, callback, self.now, self._data, self._subscribers)
+
+    def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> NoReturn:
+        raise NodeError(f"{name}: ROS 1 has no services as ports")
+
+    def create_client(self, name: str, type_: type) -> NoReturn:
+        raise NodeError(f"{name}: ROS 1 has no services as ports")
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros1GridTimer:
         return Ros1GridTimer(self._clock, period, epoch, callback)

@@ -7,13 +7,14 @@ import logging
 import threading
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 from midstride.backends.common import KeptParameters
 from midstride.backends.simulator.cooperative_thread import Sleeps
 from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.backends.simulator.virtual_clock import SimulatedTimer
+from midstride.errors import NodeError
 from midstride.model.contract import QoS
 from midstride.node.author.declared_contracts import type_name
 from midstride.node.clock_history import ClockHistory
@@ -33,6 +34,7 @@ class SimulatedHost:
     ros_node = None
     node_name = None
     publishes_ros_time = False
+    has_services = False
     reachable = "in this simulation"
 
     def __init__(self, process: SimulatedProcess, instance: str, network: Network, transport: Transport) -> None:
@@ -116,6 +118,12 @@ class SimulatedHost:
 
     def read_info(self, info: Any) -> MessageInfo:
         return MessageInfo(*info)
+
+    def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> NoReturn:
+        raise NodeError(f"{name}: the simulator has no services as ports")
+
+    def create_client(self, name: str, type_: type) -> NoReturn:
+        raise NodeError(f"{name}: the simulator has no services as ports")
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> SimulatedTimer:
         return SimulatedTimer(self._clock, self._process.enqueue, round(period * 1e9), epoch, callback)

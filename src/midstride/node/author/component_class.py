@@ -23,6 +23,7 @@ from midstride.node.author.declared_parameters import Parameter, check_parameter
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import listed
 from midstride.node.author.ports import Input, Output
+from midstride.node.author.service_ports import ClientPort, RequestFunction, ServerPort, check_service, check_within
 from midstride.node.control.component_agent import Agent
 from midstride.node.loaded_program import ProgramFiles
 from midstride.node.process_context import find, host_factory
@@ -106,6 +107,50 @@ class Component:
             name, declared_contracts.check_type(type, where), declared_contracts.check_qos(qos, where)
         )
         return self._parts.outputs[name]
+
+    def create_server(
+        self,
+        name: str,
+        type: type,
+        function: RequestFunction,
+        within: float | None = None,
+        refusal: RequestFunction | None = None,
+    ) -> ServerPort:
+        """A server of a service, on ROS 2. The topic that the manager attaches it to is the name of the service.
+
+        It belongs to one functionality, as an output does, and serves in the modes that have it among their
+        ``outputs=``. ``function(request, response)`` fills the response, and returns it or None; it may be async, and
+        runs on the thread of the modes. If it raises, its functionality goes to its degraded mode.
+
+        - ``type`` is the class of the service.
+        - ``within`` is the bound within which a request is answered (s); it must be at least as good as the one that
+          the specification states.
+        - ``refusal(request, response)`` fills the response in modes that do not serve. Without it, the service is not
+          in the graph in those modes, so that clients see that it is not ready. Requests that have arrived are answered
+          before it leaves.
+
+        Each request is answered by one instance across a replacement (docs/protocols/services.md). Raises NodeError.
+        """
+        where = f"server {self._new_port(name)}"
+        service, bound = check_service(type, where), check_within(within, where)
+        for each in (function, refusal):
+            if each is not None and not callable(each):
+                raise NodeError(f"{where}: {each!r} is not a function; it is called with a request and a response")
+        server = ServerPort(name, service, function, bound, refusal)
+        self._parts.outputs[name] = server
+        return server
+
+    def create_client(self, name: str, type: type, within: float | None = None) -> ClientPort:
+        """A client of a service, on ROS 2. A mode that relies on it names it in ``inputs=``.
+
+        Such a mode is left when the server is not in the graph any more, or where a response takes longer than its
+        bound (docs/protocols/reflex.md). Messages drive a mode, and clients do not: ``rate=`` has it called.
+        ``within`` is the bound within which a request must be answered (s), None if any will do. Raises NodeError.
+        """
+        where = f"client {self._new_port(name)}"
+        client = ClientPort(name, check_service(type, where), check_within(within, where))
+        self._parts.inputs[name] = client
+        return client
 
     def create_functionality(
         self, name: str, inputs: Sequence[Input] = (), outputs: Sequence[Output] = (), weight: float = 1
@@ -250,6 +295,9 @@ class Component:
         factory = host_factory(context)
         self._started = True
         host = factory(context.instance or self.name, context.namespace)
+        if self._parts.services and not host.has_services:
+            names = ", ".join(port.name for port in self._parts.services)
+            raise NodeError(f"component {self.name} has servers or clients ({names}), which need ROS 2: run it there")
         self.instance, self.clock.host = host.instance, host
         pid = os.getpid() if context.pid is None else context.pid
         program = ProgramFiles(context.modules, context.started)

@@ -12,11 +12,11 @@ from immutables import Map
 from midstride.errors import NodeError
 from midstride.model import component as model
 from midstride.model.contract import NOTHING, Predicate, explain, satisfies
-from midstride.node.author.declared_contracts import type_name
 from midstride.node.author.declared_parameters import Parameter
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import DeclaredMode
 from midstride.node.author.ports import Input, Output
+from midstride.node.author.service_ports import ClientPort, ServerPort
 from midstride.wire import replies
 from midstride.wire.commands import SetParametersCommand
 
@@ -52,6 +52,11 @@ class DeclaredParts:
     def ports(self) -> dict[str, Output | Input]:
         return {**self.outputs, **self.inputs}
 
+    @property
+    def services(self) -> list[ServerPort | ClientPort]:
+        """The servers and clients."""
+        return [port for port in self.ports.values() if isinstance(port, ServerPort | ClientPort)]
+
 
 def declare(name: str, parts: DeclaredParts) -> model.ComponentSpec:
     """The component. Raises NodeError where it breaks a rule of docs/semantics.md section 2."""
@@ -61,7 +66,8 @@ def declare(name: str, parts: DeclaredParts) -> model.ComponentSpec:
     for port in parts.outputs.values():
         if port not in owned:
             raise NodeError(
-                f"output {port.name} belongs to no functionality; write create_functionality(…, outputs=[{port.name}])"
+                f"{'server' if isinstance(port, ServerPort) else 'output'} {port.name} belongs to no functionality; "
+                f"write create_functionality(…, outputs=[{port.name}])"
             )
     callbacks = parts.callbacks
     if callbacks.export_changes is not None and callbacks.export_state is None:
@@ -98,8 +104,7 @@ def _mode(mode: DeclaredMode) -> model.Mode:
     guarantees: dict[str, Predicate] = {}
     for port in mode.outputs:
         # A rate-driven mode guarantees its rate; a message-driven one guarantees only what is stated.
-        promise = mode.promise(port)
-        guarantees[port.name] = Predicate(type_name(port.type), promise.rate, port.qos, promise.where)
+        guarantees[port.name] = port.guaranteed(mode.promise(port))
     assumptions = tuple(
         model.InputAlternatives(tuple(port.name for port in alternatives)) for alternatives in mode.assumptions
     )

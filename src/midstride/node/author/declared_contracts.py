@@ -123,19 +123,27 @@ def check_type(type_: object, where: str) -> type:
     return type_
 
 
-def type_name(type_: type, where: str = "message type") -> str:
-    """``std_msgs/msg/String`` for its class, whichever ROS the class is from. Raises NodeError for any other class."""
+def type_name(type_: type, where: str = "message type", kind: str = "msg") -> str:
+    """``std_msgs/msg/String`` for its class, whichever ROS the class is from. Raises NodeError for any other class.
+
+    ``kind``: the folder of the type, ``srv`` for a service.
+    """
     for attribute in ("__msgtype__", "_type"):  # the simulator's own, ROS 1's
         name = getattr(type_, attribute, None)
         if isinstance(name, str):
             package, _, rest = name.partition("/")
-            return f"{package}/msg/{rest.rpartition('/')[2]}"
+            return f"{package}/{kind}/{rest.rpartition('/')[2]}"
     parts = type_.__module__.split(".")  # ROS 2: std_msgs.msg._string
-    if len(parts) >= 2 and parts[1] == "msg":
-        return f"{parts[0]}/msg/{type_.__name__}"
-    raise NodeError(
-        f"{where}: {type_.__name__} is not a ROS message class; write e.g. `from std_msgs.msg import String`"
-    )
+    if len(parts) >= 2 and parts[1] == kind:
+        return f"{parts[0]}/{kind}/{type_.__name__}"
+    what, example = _CLASSES[kind]
+    raise NodeError(f"{where}: {type_.__name__} is not {what}; write e.g. `from {example}`")
+
+
+_CLASSES: Final = {
+    "msg": ("a ROS message class", "std_msgs.msg import String"),
+    "srv": ("the class of a service", "std_srvs.srv import Trigger"),
+}
 
 
 def field_constraints(

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 from midstride.errors import NodeError
 from midstride.node.author.declared_contracts import NO_PROMISE, Guarantee, check_name, check_rate, check_seconds
 from midstride.node.author.ports import AnyOf, Driven, Input, Output
+from midstride.node.author.service_ports import ClientPort, ServerPort
 
 Function: TypeAlias = Callable[..., Any]
 ModeFunction: TypeAlias = Function | Mapping[Input, Function]
@@ -85,7 +86,10 @@ def declare_mode(
     assumptions = _assumptions(where, inputs, associated[0])
     kept_outputs = _outputs(where, outputs, associated[1])
     promises = _promises(where, guarantees or {}, kept_outputs)
-    named = tuple(dict.fromkeys(port for assumption in assumptions for port in assumption))
+    # Messages drive a mode; a client has none.
+    with_messages = [tuple(port for port in each if not isinstance(port, ClientPort)) for each in assumptions]
+    topical = tuple(filter(None, with_messages))
+    named = tuple(dict.fromkeys(port for assumption in topical for port in assumption))
     if sync is not None and not isinstance(sync, Approximate):
         raise NodeError(f"{where}: sync={sync!r}; write sync=approximate(0.05)")
     if hertz is not None or not named:
@@ -96,7 +100,7 @@ def declare_mode(
         driven: Driven = "rate" if hertz is not None else "none"
         return DeclaredMode(mode, driven, plain, hertz, assumptions, kept_outputs, promises)
     if sync is not None:
-        if any(len(assumption) > 1 for assumption in assumptions) or len(named) < 2:
+        if any(len(assumption) > 1 for assumption in topical) or len(named) < 2:
             raise NodeError(
                 f"{where}: sync= takes one message of each of several inputs, so any_of() cannot be used with it"
             )
@@ -105,7 +109,7 @@ def declare_mode(
         return DeclaredMode(
             mode, "message", together, None, assumptions, kept_outputs, promises, sync=sync, synchronised=named
         )
-    handlers = _handlers(where, function, assumptions, named)
+    handlers = _handlers(where, function, topical, named)
     return DeclaredMode(mode, "message", None, None, assumptions, kept_outputs, promises, handlers)
 
 
@@ -185,6 +189,10 @@ def _promises(where: str, guarantees: object, outputs: tuple[Output, ...]) -> di
     for port, promise in guarantees.items():
         if port not in outputs:
             raise NodeError(f"{where}: guarantees= names {port!r}, which outputs= of the mode does not; add it there")
+        if isinstance(port, ServerPort):
+            raise NodeError(
+                f"{where}: guarantees= names server {port.name}; its bound is stated in create_server(within=)"
+            )
         if promise is None:
             raise NodeError(
                 f"{where}: guarantees= of {port.name}: None states nothing, leave it out; a mode with a rate "

@@ -299,6 +299,10 @@ class Output(_Port[OutputLink]):
         self.wrong_type: str | None = None
         self.fields = FieldChecks()
 
+    def guaranteed(self, promise: Guarantee) -> Predicate:
+        """What a mode with this ``promise`` guarantees, in the model's terms."""
+        return Predicate(type_name(self.type), promise.rate, self.qos, promise.where)
+
     def promise(self, guaranteed: Guarantee) -> None:
         """What the current mode guarantees, from now on; a rate that has changed is measured afresh."""
         self.fields.require(guaranteed.where)

@@ -18,6 +18,7 @@ from midstride.errors import CommandRefused
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.ports import Input, InputLink, Output, OutputLink
+from midstride.node.author.service_ports import ClientLink, ClientPort, ServerLink, ServerPort
 from midstride.node.component_host import Host
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.data.mode_switch import DataExecutor, within
@@ -224,6 +225,16 @@ class Attachments:
     # -- data thread -------------------------------------------------------------------------------
 
     def _create(self, port: Output | Input, topic: str) -> OutputLink | InputLink:
+        if isinstance(port, ServerPort):
+            served = ServerLink(port, topic, self.host)
+            port.show(served)
+            port.links = (*port.links, served)
+            return served
+        if isinstance(port, ClientPort):
+            called = ClientLink(port, topic, self.host)
+            port.links = (*port.links, called)
+            port.begin(self.host)
+            return called
         times = MessageTimes(self.host.now)
         if isinstance(port, Input):
             inlet = InputLink(port, topic, times)

@@ -19,6 +19,7 @@ from midstride.codec.parameter import from_json, json_value
 from midstride.errors import BackendError, CommandRefused
 from midstride.model.component import ROS_PARAMETERS, same_value
 from midstride.node.author.declaration import DeclaredParts
+from midstride.node.author.service_ports import ServerPort
 from midstride.node.component_host import HeldParameter, Host
 from midstride.node.control.attachments import Attachments
 from midstride.node.control.component_reflex import Reflex
@@ -160,6 +161,8 @@ class CommandHandlers:
             functionality.start(runner.current_mode)
             for port in functionality.outputs:
                 port.owner = runner
+                if isinstance(port, ServerPort):
+                    port.call = runner.answer
             self._runners.append(runner)
         for runner in self._runners:
             runner.start_calls()

@@ -17,6 +17,7 @@ from typing import Final
 
 from midstride.errors import CommandRefused
 from midstride.node.author.ports import Input, Output
+from midstride.node.author.service_ports import ABSENT, ClientPort
 from midstride.node.component_host import Host
 from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, Shortfall, Stopwatch, tolerated_periods
 from midstride.node.data.functionality_runner import FunctionalityRunner
@@ -107,6 +108,7 @@ class Watch:
             return None
         found = [self.tolerated(port, speed) / port.rate for port in self.inputs if port.rate is not None]
         found += [self.due(output, speed) / output.rate for output in self.outputs if output.rate is not None]
+        found += [ABSENT * speed for port in self.inputs if isinstance(port, ClientPort)]
         return min(found) / speed if found else None
 
     # -- assumptions -------------------------------------------------------------------------------------
@@ -129,6 +131,8 @@ class Watch:
 
     def why(self, port: Input, speed: float) -> str:
         """Why ``port``, which is broken, is, in words."""
+        if isinstance(port, ClientPort) and port.gone is not None:
+            return port.gone
         rate, topics = port.rate, ", ".join(link.topic for link in port.links)
         if port.denied:
             return f"condition {port.name} does not hold on {topics}: {'; '.join(port.violations)}"
@@ -150,6 +154,8 @@ class Watch:
         def in_order(port: Input) -> bool:
             if port.denied:
                 return False
+            if isinstance(port, ClientPort):
+                return port.ready
             if port.rate is None:
                 return port.attached and (port in relied or (port.condition and port.count > 0))
             return port.count > 0 and not self._broken(port, speed, 0.5)
@@ -219,9 +225,16 @@ class Reflex:
 
     def _look(self, seconds: float | None, speed: float) -> Iterator[Watch]:
         """``seconds`` have gone by; None: the process has been stopped, and what is lacking now says nothing."""
+        for client in {port for runner in self.runners for port in runner.inputs if isinstance(port, ClientPort)}:
+            if seconds is None:
+                client.pardon()
+            client.look()
         for runner in self.runners:
             watch = self._watches.get(runner)
             if watch is None or watch.entered != runner.entered:
+                for port in runner.inputs:
+                    if isinstance(port, ClientPort):
+                        port.restart()
                 watch = self._watches[runner] = Watch(runner)
                 if any(port.denied for port in watch.inputs) and runner.index < runner.last and not runner.switching:
                     self._judge(watch, speed)  # what counts messages begins with the mode; a condition does not
@@ -241,7 +254,8 @@ class Reflex:
             reason = "; ".join(watch.why(port, speed) for port in broken)
             words = f"the assumption of mode {runner.mode.name} broke: {reason}"
             # What another fault has degraded before is not restored at once because a condition holds again.
-            conditional = all(port.denied for port in broken) and (runner.conditional or not runner.reflex)
+            denied = all(port.denied and not isinstance(port, ClientPort) for port in broken)
+            conditional = denied and (runner.conditional or not runner.reflex)
             self._fall(watch, watch.next_mode(speed), words, conditional=conditional)
         elif (hang := self._hang(watch, speed)) is not None and (waiting is None or self._withdraw(waiting)):
             fall = self._fall(watch, runner.last, hang, hangs=True)

@@ -9,12 +9,14 @@ from __future__ import annotations
 import inspect
 import traceback
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
+from midstride.errors import Unanswered
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import DeclaredMode, Function
 from midstride.node.author.ports import Driven, Input, OutputOwner
+from midstride.node.author.service_ports import ServerPort
 from midstride.node.component_host import Host
 from midstride.node.data.trigger import OnRate, Trigger, trigger_of
 from midstride.node.legible import legible
@@ -150,6 +152,8 @@ class FunctionalityRunner(OutputOwner):
     def _promise(self) -> None:
         for port in self.outputs:
             port.promise(self.mode.promise(port))
+            if isinstance(port, ServerPort):
+                port.serve(port in self.mode.outputs)
 
     def start_calls(self) -> None:
         """Start the current mode's calls; the first may come at once. Errors of the platform count as the mode's."""
@@ -226,11 +230,50 @@ class FunctionalityRunner(OutputOwner):
         self.slots = None
         self.info = None
 
+    def answer(self, server: ServerPort, request: Any, response: Any) -> Any:
+        """Call the function of ``server``: the response, or an awaitable of it. Where it raises, the mode has failed.
+
+        Then the server refuses, or does not respond.
+        """
+        entered = self.entered
+
+        def failed(error: BaseException) -> Any:
+            self._host.logger.error(f"the function of server {server.name} raised {format_error(error)}")
+            if server.serving and self.entered == entered:
+                if self.asynchronous:
+                    self._fail_later(error)
+                else:
+                    self._fail(error)
+            return server.refuse(request, response)
+
+        async def finish(awaitable: Awaitable[Any]) -> Any:
+            try:
+                return server.fitted(await awaitable, response)
+            except CAUGHT as error:
+                return failed(error)
+
+        try:
+            result = server.function(request, response)
+            return finish(result) if inspect.isawaitable(result) else server.fitted(result, response)
+        except CAUGHT as error:
+            return failed(error)
+
+    def _fail_later(self, error: BaseException) -> None:
+        """Fail once the async call under way has ended. The state shows it already, and its servers serve no more."""
+        self._error = error
+        self.falling = self.last, f"a server raised: {format_error(error)}"
+        for port in self.outputs:
+            if isinstance(port, ServerPort):
+                port.serve(False)
+        self._report(self)
+
     async def _guarded(self, coroutine: Coroutine[Any, Any, Any]) -> None:
         try:
             await coroutine
         except GeneratorExit:
             raise
+        except Unanswered as error:  # what it relies on has gone: the local reflex degrades it
+            self._host.logger.warning(f"a call of {self.name} ended: {error}")
         except BaseException as error:  # a cancelled call has not done its work either
             self._error = error
 
@@ -258,6 +301,9 @@ class FunctionalityRunner(OutputOwner):
         was_last = self.index == self.last
         raised = f"its last mode, {failed}, raised, so it is no longer called" if was_last else f"mode {failed} raised"
         self.enter_mode(self.last, f"{raised}: {reason}", failed=True)
+        for port in self.outputs if was_last else ():
+            if isinstance(port, ServerPort):
+                port.serve(False)
         self._report(self)
         if not was_last:
             self.start_calls()

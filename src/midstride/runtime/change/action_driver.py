@@ -253,6 +253,8 @@ class ActionDriver:
     def _serves_on(self, port: PortRef, connector: str) -> bool:
         """Return whether it is a server that nothing but the end of its process takes out of the graph."""
         configuration = self.configuration
+        if configuration.component(port.instance).gate is None:
+            return False
         server = configuration.is_output(port) and not configuration.is_topic(connector)
         ends = self.rolling_back or port.instance in self.change.leaving or self.system.life.is_gone(port.instance)
         return server and not ends

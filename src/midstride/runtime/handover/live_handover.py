@@ -128,7 +128,7 @@ class LiveHandover:
         last: dict[PortRef, int | None] = {}
         try:
             await self._attach_servers()
-            if self.swaps or not self._services:
+            if self.swaps or not self._services or self._moves_state:
                 last = await self._exchange()
             else:
                 await self._have_answer()
@@ -185,6 +185,10 @@ class LiveHandover:
                 await self._undo()
                 self._cuts = []
                 attempt = partial(self._agree, (max(LEADS[-1], min(LONGEST_LEAD, self._deadline - self.fences.now())),))
+
+    @property
+    def _moves_state(self) -> bool:
+        return any(old in self.states.keeping for old, _ in self.states.pairs)
 
     async def _have_exited(self) -> bool:
         return all([await self._has_exited(old) for old, _ in self._pairs])

@@ -26,6 +26,7 @@ from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import node_parameters, port_endpoints
 from midstride.backends.ros2.component.node_threads import ComponentNodes
 from midstride.backends.ros2.component.parameter_services import parameters_of
+from midstride.backends.ros2.component.service_endpoints import RosClient, RosServer
 from midstride.backends.ros2.component.timers import Ros2GridTimer, SetBackWatch
 from midstride.model.contract import QoS
 from midstride.model.instance_names import dotted_name, full_name, split_name
@@ -49,6 +50,8 @@ _CHECK: Final = 1.0
 class Ros2Host:
     """Created and run in the thread that calls ``Component.start``; joins ROS in :meth:`run`."""
 
+    has_services = True
+
     def __init__(self, name: str, namespace: str) -> None:
         self.instance = name
         context = process_context.find()
@@ -61,6 +64,7 @@ class Ros2Host:
         self._context = context
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
+        self._servers: dict[str, RosServer] = {}  # those in the graph, by name
         self._timers: WeakSet[Ros2GridTimer] = WeakSet()
         self.simulated_time = False
         self._failure: Exception | None = None
@@ -152,6 +156,35 @@ class Ros2Host:
         return port_endpoints.RosSubscription(
             subscription, self._destroy(self.ros_node.destroy_subscription), self.ros_node.count_publishers
         )
+
+    def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> RosServer:
+        """Take up one that has been given up while another instance answered, and is still in the graph."""
+        if (server := self._servers.get(name)) is not None and server.type is type_:
+            server.resume(answer)
+            return server
+        server = RosServer(
+            self.ros_node,
+            self._group,
+            name,
+            type_,
+            answer,
+            admission=self.admission,
+            later=self._post,
+            gone=self._has_left,
+        )
+        self._servers[name] = server
+        self._ports.add(id(server.service))
+        return server
+
+    def _has_left(self, server: RosServer) -> None:
+        self._ports.discard(id(server.service))
+        if self._servers.get(server.name) is server:
+            del self._servers[server.name]
+
+    def create_client(self, name: str, type_: type) -> RosClient:
+        client = RosClient(self.ros_node, self._group, name, type_, self._destroy(self.ros_node.destroy_client))
+        self._ports.add(id(client.client))
+        return client
 
     def leave_out(self, endpoint: Any) -> None:
         """It is Midstride's own: :meth:`extra_endpoints` does not name it."""

@@ -1,0 +1,119 @@
+"""The services of servers and clients that are ports; they are admitted as all others (:mod:`.admitting_node`).
+
+All of it runs on the data thread, unless stated.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from copy import copy
+from typing import Any, Final
+
+from rclpy.exceptions import InvalidHandle
+from rclpy.qos import QoSProfile, qos_profile_services_default
+
+from midstride.node.request_admission import RequestAdmission
+
+# How many requests, or responses, fit into the queue of an endpoint. Every client of a service receives the responses
+# to all of them, and the middleware drops what does not fit.
+DEPTH: Final = 200
+
+
+def _deep_queue() -> QoSProfile:
+    profile = copy(qos_profile_services_default)
+    profile.depth = DEPTH
+    return profile
+
+
+class RosServer:
+    """The service ``name`` of ``node``. ``answer`` is that of the server that it belongs to now.
+
+    ``later`` has the executor call a function; ``gone`` is called when it has left the graph.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        group: Any,
+        name: str,
+        type_: type,
+        answer: Callable[[Any, Any], Any],
+        *,
+        admission: RequestAdmission,
+        later: Callable[[Callable[[], None]], object],
+        gone: Callable[[RosServer], object],
+    ) -> None:
+        self.name = name
+        self.type = type_
+        self.answer = answer
+        self._node, self._admission, self._later, self._gone = node, admission, later, gone
+        self._under_way = 0
+        self._retired = False
+        self.service = node.create_service(type_, name, self._serve, qos_profile=_deep_queue(), callback_group=group)
+
+    def _serve(self, request: Any, response: Any) -> Any:
+        result = self.answer(request, response)
+        if not inspect.isawaitable(result):
+            return result
+        self._under_way += 1
+        return self._finish(result)
+
+    async def _finish(self, result: Any) -> Any:
+        try:
+            return await result
+        finally:
+            self._under_way -= 1
+            if self._retired:
+                self._later(self._leave)  # once the response has been sent
+
+    def resume(self, answer: Callable[[Any, Any], Any]) -> None:
+        """Belong to a server again."""
+        self.answer, self._retired = answer, False
+
+    def retire(self) -> None:
+        self._retired = True
+        if self._admission.is_open:
+            self._answer_waiting()
+            self._leave()
+
+    def _answer_waiting(self) -> None:
+        """Answer what has arrived and waits for the executor, as that would."""
+        service, types = self.service, self.service.srv_type
+        while True:
+            with service.handle:
+                request, header = service.handle.service_take_request(types.Request)
+            if header is None:
+                return
+            service.send_response(service.callback(request, types.Response()), header)
+
+    def _leave(self) -> None:
+        if self._retired and not self._under_way and self._admission.is_open:
+            self._admission.passed_handlers.pop(self.service.service_name, None)
+            self._node.destroy_service(self.service)
+            self._gone(self)
+
+
+class RosClient:
+    """A client of the service ``name``."""
+
+    def __init__(self, node: Any, group: Any, name: str, type_: type, destroy: Callable[[Any], object]) -> None:
+        self.client = node.create_client(type_, name, qos_profile=_deep_queue(), callback_group=group)
+        self._destroy = destroy
+
+    def call(self, request: Any) -> Any:
+        return self.client.call_async(request)
+
+    def abandon(self, future: Any, error: Exception) -> None:
+        if not future.done():
+            self.client.remove_pending_request(future)
+            future.set_exception(error)
+
+    def matched(self) -> int:
+        try:
+            return int(self.client.service_is_ready())
+        except InvalidHandle:
+            return 0
+
+    def destroy(self) -> None:
+        self._destroy(self.client)

@@ -1,0 +1,304 @@
+"""Servers and clients of services: a server is an output that answers requests, a client an input that sends them.
+
+A server has a service in the ROS graph while the mode of its functionality serves, and only then, unless it refuses in
+the other modes. Which instance of a role answers a request is decided below, for all services of the node alike
+(docs/protocols/services.md). A client that lacks its server, or a response, is an assumption that does not hold
+(docs/protocols/reflex.md).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from midstride.errors import NodeError, Unanswered
+from midstride.model.contract import DEFAULT_QOS, Predicate, format_number
+from midstride.node.author.declared_contracts import Guarantee, check_seconds, type_name
+from midstride.node.author.message_times import MessageTimes
+from midstride.node.author.ports import Input, InputLink, Output, OutputLink
+from midstride.node.component_host import CalledService, Host, ServedService
+from midstride.wire.state import GateState, LinkState
+
+#: ``function(request, response)`` fills the response, and returns it or None. It may be async.
+RequestFunction: TypeAlias = Callable[[Any, Any], Any]
+
+# How long a server may be missing in the graph (s): one that has just been created is discovered later.
+ABSENT: Final = 0.5
+# The same where it has not been seen since the client was attached (s).
+NEVER_SEEN: Final = 5.0
+# How much longer than its bound a response may take (s): while state moves to a replacement, requests wait so long.
+OVERDUE: Final = 2.0
+
+
+def check_service(type_: object, where: str) -> type:
+    """Return the class of a service of ROS 2. Raises NodeError for any other class."""
+    if hasattr(type_, "_request_class"):  # of ROS 1
+        raise NodeError(f"{where}: only ROS 2 has services as ports; on ROS 1, create it in on_setup")
+    if not isinstance(type_, type) or not hasattr(type_, "Request"):
+        raise NodeError(
+            f"{where}: {type_!r} is not the class of a service; write e.g. `from std_srvs.srv import Trigger`"
+        )
+    type_name(type_, where, "srv")
+    return type_
+
+
+def check_within(within: object, where: str) -> float | None:
+    """Return a bound (s), or None where none is stated. Raises NodeError."""
+    return None if within is None else check_seconds(within, f"{where}, within=")
+
+
+class _ServerEndpoint:
+    """The service of a server under one name, which is in the graph while it is shown. On the data thread."""
+
+    def __init__(self, make: Callable[[], ServedService]) -> None:
+        self._make = make
+        self._service: ServedService | None = None
+
+    def show(self, shown: bool) -> None:
+        if shown and self._service is None:
+            self._service = self._make()
+        elif not shown and self._service is not None:
+            service, self._service = self._service, None
+            service.retire()
+
+    def publish(self, message: Any) -> None:
+        raise NodeError("a server has no messages; its function answers requests")
+
+    def matched(self) -> int:
+        return 0  # clients are not counted
+
+    def reader_ids(self) -> frozenset[str]:
+        return frozenset()
+
+    async def acknowledged(self, timeout: float) -> bool | None:
+        return None
+
+    def destroy(self) -> None:
+        self.show(False)
+
+
+class ServerLink(OutputLink):
+    """One attachment of a server. Its gate is shown as open while its instance is the one that answers."""
+
+    __slots__ = ("_answers", "service")
+
+    def __init__(self, server: ServerPort, topic: str, host: Host) -> None:
+        def make() -> ServedService:
+            return host.create_server(topic, server.type, server.answer)
+
+        self.service = _ServerEndpoint(make)
+        super().__init__(server, topic, self.service, MessageTimes(host.now))
+        self._answers = host.admission
+
+    @property
+    def lets_pass(self) -> bool:
+        return not self.fenced and self._answers.is_open
+
+    @property
+    def is_live(self) -> bool:
+        return self.open and self.lets_pass
+
+    @property
+    def gate(self) -> GateState:
+        return "open" if self.is_live else "closed"
+
+
+class ServerPort(Output):
+    """A server of a service. Created by ``Component.create_server``."""
+
+    def __init__(
+        self, name: str, type_: type, function: RequestFunction, within: float | None, refusal: RequestFunction | None
+    ) -> None:
+        super().__init__(name, type_, DEFAULT_QOS)
+        self.function = function
+        self.within = within
+        self.refusal = refusal
+        # Whether the mode of its functionality serves.
+        self.serving = False
+        # Calls the function, once the component runs: the functionality degrades where it raises.
+        self.call: Callable[[ServerPort, Any, Any], Any] = lambda server, request, response: None
+
+    def guaranteed(self, promise: Guarantee) -> Predicate:
+        return Predicate(type_name(self.type, kind="srv"), within=self.within)
+
+    def promise(self, guaranteed: Guarantee) -> None:
+        """A server has no messages, so no rate and no fields."""
+
+    def write(self, message: Any) -> None:
+        """Raises NodeError: a server answers, and writes no messages."""
+        raise NodeError(f"server {self.name} has no messages to write; its function answers requests")
+
+    def serve(self, serving: bool) -> None:
+        """Answer from now on, or not any more: then the service leaves the graph, unless the server refuses."""
+        self.serving = serving
+        for link in self.links:
+            self.show(link)
+
+    def show(self, link: OutputLink) -> None:
+        if isinstance(link, ServerLink):
+            link.service.show(self.serving or self.refusal is not None)
+
+    def answer(self, request: Any, response: Any) -> Any:
+        """The response, or an awaitable of it; None where there is none. On the data thread.
+
+        A server that does not refuse answers what has arrived before it leaves the graph.
+        """
+        if self.serving or self.refusal is None:
+            return self.call(self, request, response)
+        return self.refuse(request, response)
+
+    def refuse(self, request: Any, response: Any) -> Any:
+        """The refusing response; None where the server does not refuse."""
+        return None if self.refusal is None else self.fitted(self.refusal(request, response), response)
+
+    def fitted(self, result: Any, response: Any) -> Any:
+        """Return what a function has returned, or ``response`` where it has filled that. Raises NodeError."""
+        if result is None:
+            return response
+        if not isinstance(result, type(response)):
+            raise NodeError(
+                f"the function of server {self.name} returned {result!r}; return the response that it was called with"
+            )
+        return result
+
+    def states(self) -> dict[str, LinkState]:
+        return {link.topic: LinkState(gate=link.gate, count=0, fenced=link.fenced) for link in self.links}
+
+    def __repr__(self) -> str:
+        return f"<server {self.name}: {type_name(self.type, kind='srv')}>"
+
+
+class ClientLink(InputLink):
+    """One attachment of a client."""
+
+    __slots__ = ("service",)
+
+    def __init__(self, client: ClientPort, topic: str, host: Host) -> None:
+        super().__init__(client, topic, MessageTimes(host.now))
+        self.endpoint = self.service = host.create_client(topic, client.type)
+
+
+class _Call(NamedTuple):
+    future: Any
+    service: CalledService
+    since: int  # steady ns
+
+
+class ClientPort(Input):
+    """A client of a service. Created by ``Component.create_client``.
+
+    It counts the responses that it has received, and having seen its server as one more.
+    """
+
+    def __init__(self, name: str, type_: type, within: float | None) -> None:
+        super().__init__(name, type_, Predicate(type_name(type_, kind="srv"), within=within))
+        self.within = within
+        self._host: Host | None = None
+        self._calls: dict[int, _Call] = {}  # by number, in order
+        self._numbers = itertools.count()
+        self._seen = False
+        self._absent_since: int | None = None  # steady ns
+        self._counted_from = 0  # what was waited for before does not count (steady ns)
+        # Runs on the data thread as soon as that is free: until then, a response may wait there.
+        self._probe: asyncio.Future[None] | None = None
+        # Why it cannot be relied on, if so.
+        self.gone: str | None = None
+
+    def call_async(self, request: Any) -> Any:
+        """Send ``request``, and return rclpy's future of the response: ``response = await client.call_async(request)``.
+
+        Where the response does not come, since the server has gone or takes too long, the future ends with
+        ``midstride.Unanswered``, and the functionality goes to a mode that does not assume the client
+        (docs/protocols/reflex.md). An async mode need not catch that. Call it on the thread of the modes. Raises
+        NodeError while it is attached to no service, or if ``request`` is not of its type.
+        """
+        if not isinstance(request, self.type.Request):  # type: ignore[attr-defined]
+            words = f"client {self.name} takes {type_name(self.type, kind='srv')}, not {type(request).__name__}"
+            raise NodeError(f"{words}; write {self.name}.call_async({self.type.__name__}.Request(…))")
+        link = next((link for link in self.links if isinstance(link, ClientLink)), None)
+        if link is None or self._host is None:
+            raise NodeError(f"client {self.name} is attached to no service; call it in a mode that assumes it")
+        number, future = next(self._numbers), link.service.call(request)
+        self._calls[number] = _Call(future, link.service, self._host.steady())
+
+        def done(_: Any) -> None:
+            if self._calls.pop(number, None) is not None:
+                link.count += 1
+
+        future.add_done_callback(done)
+        return future
+
+    @property
+    def ready(self) -> bool:
+        """Whether its server is in the graph."""
+        return any(link.endpoint.matched() > 0 for link in self.links)
+
+    @property
+    def denied(self) -> bool:
+        return self.gone is not None
+
+    @property
+    def count(self) -> int:
+        return sum(link.count for link in self.links) + self._seen
+
+    def begin(self, host: Host) -> None:
+        """Note that it has been attached, on ``host``."""
+        self._host, self._seen = host, False
+        self.restart()
+
+    def restart(self) -> None:
+        """A mode has been entered: what was wrong before does not count."""
+        self._absent_since = self.gone = None
+
+    def pardon(self) -> None:
+        """Note that the process has been stopped: the time so far does not count."""
+        self._absent_since = None
+        if self._host is not None:
+            self._counted_from = self._host.steady()
+
+    def look(self) -> None:
+        """Look whether its server is there and answers. Control thread."""
+        if (host := self._host) is None or not self.links:
+            return
+        self.gone = self._why_gone(host)
+        if self.gone is not None and self._calls:
+            host.on_data(self._end_calls)
+
+    def _why_gone(self, host: Host) -> str | None:
+        now = host.steady()
+        names = ", ".join(link.topic for link in self.links)
+        if self.ready:
+            self._seen, self._absent_since = True, None
+        elif self._absent_since is None:
+            self._absent_since = now
+        absent = 0.0 if self._absent_since is None else (now - self._absent_since) / 1e9
+        if absent > (ABSENT if self._seen else NEVER_SEEN):
+            return f"client {self.name}: {names} has had no server for {absent:.2g} s"
+        oldest = next(iter(list(self._calls.values())), None)
+        waited = 0.0 if oldest is None else (now - max(oldest.since, self._counted_from)) / 1e9
+        if self.within is None or waited <= self.within + OVERDUE:
+            self._probe = None
+            return None
+        if self._probe is None:
+            self._probe = asyncio.ensure_future(host.on_data(lambda: None))
+        if not self._probe.done():
+            return None
+        bound = f"a response within {format_number(self.within)} s is assumed"
+        return f"client {self.name}: a request to {names} has not been answered for {waited:.2g} s ({bound})"
+
+    def remove(self, link: InputLink) -> None:
+        self._end_calls()
+        super().remove(link)
+
+    def _end_calls(self) -> None:
+        calls, self._calls = self._calls, {}
+        for call in calls.values():
+            call.service.abandon(call.future, Unanswered(self.gone or f"client {self.name} was detached"))
+
+    def states(self) -> dict[str, LinkState]:
+        return {link.topic: LinkState(gate=None, count=0) for link in self.links}
+
+    def __repr__(self) -> str:
+        return f"<client {self.name}: {self.assumption}>"
