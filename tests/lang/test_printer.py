@@ -15,7 +15,8 @@ from midstride.lang.lexer import tokenize
 from midstride.lang.source import Source
 
 SEEDS = Path(__file__).parent / "seeds"
-SAMPLES = [(SEEDS / name).read_text(encoding="utf-8") for name in ("patrol.stride", "sensors.stride", "fleet.stride")]
+NAMES = ("patrol.stride", "sensors.stride", "mapping.stride", "fleet.stride")
+SAMPLES = [(SEEDS / name).read_text(encoding="utf-8") for name in NAMES]
 
 
 def formatted(text: str) -> str:
@@ -31,7 +32,7 @@ def words(text: str) -> tuple[list[str], list[str]]:
     return [word for word, kind in zip(tokens.texts, tokens.kinds, strict=True) if kind != ","], comments
 
 
-@pytest.mark.parametrize("sample", SAMPLES[:2])
+@pytest.mark.parametrize("sample", SAMPLES[:3])
 def test_the_sample_formats_to_itself(sample: str) -> None:
     assert formatted(sample) == sample
 

@@ -8,16 +8,18 @@ import pytest
 
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import PlanRefused, SpecificationError
+from midstride.generate.drawn_system import view
 from midstride.generate.skeleton import skeleton
 from midstride.lang.load import load_text
 from midstride.model.component import Connector
 from midstride.model.contract import Predicate, explain, satisfies
 from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification, initial
-from midstride.plan.change_builder import requested_change
+from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.impact import impacts
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
+from midstride.plan.specification_diff import differences
 from midstride.plan.strategies.registry import planner
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.simulation.stand_in import with_stand_ins
@@ -82,6 +84,7 @@ def test_a_bound_satisfies_one_that_is_not_shorter(
 def test_a_service_has_at_most_one_server() -> None:
     assert Connector("/map", Predicate(MAP)).max_publishers == 1
     assert Connector("/map", Predicate("nav_msgs/msg/Path")).max_publishers is None
+    assert Connector("/map", Predicate(MAP), 3).max_publishers == 1, "whatever is stated"
     result = load_text(TEXT + "node second : Server { map -> /map }\n")
     assert [each.code for each in result.diagnostics] == ["E022"]
 
@@ -104,6 +107,45 @@ def test_the_json_form_lists_each_kind_apart() -> None:
     assert text["services"] == {"/map": {"type": MAP, "within_seconds": 0.05}}
     assert text["actions"] == {"/dock": {"type": "nav2_msgs/action/DockRobot", "within_seconds": 0.5}}
     assert decode_specification(text) == specification
+
+
+def test_a_difference_is_of_a_service_or_a_ros_action() -> None:
+    before = load_text(TEXT).require()
+    sooner = TEXT.replace("DockRobot accepts within 0.5 s", "DockRobot accepts within 0.4 s")
+    (found, *_) = differences(before, load_text(sooner).require())
+    assert str(found).replace("nav2_msgs/action/", "") == (
+        "ROS action /dock: changed\n"
+        "  contract: DockRobot accepts within 0.5 s -> DockRobot accepts within 0.4 s\n"
+        "  a new contract makes a new ROS action: its ports are detached and attached again"
+    )
+    (other, *_) = differences(before, load_text(TEXT.replace("/map", "/maps")).require())
+    assert str(other) == "service /map: removed"
+
+
+def test_the_drawing_of_a_service_states_no_cap() -> None:
+    notes = {each.name: each.note for each in view(load_text(TEXT).require(), annotate=True).topics}
+    assert notes["/map"] == "nav_msgs/srv/GetMap responds within 0.05 s"
+
+
+def test_where_two_servers_would_be_needed_at_once_the_refusal_says_so() -> None:
+    """The new one cannot respond at first, so it cannot take over, and both at once are one too many."""
+    start = load_text(TEXT).require()
+    new = """component NewServer {
+  run "new" gate preload
+  client other : nav_msgs/srv/GetMap
+  server map
+  functionality serve {
+    uses other
+    produces map
+    mode normal { assume other  guarantee map : Map }
+    mode off { }
+  }
+}
+limit map_server.serve below baseline 0 s
+"""
+    target = load_text(TEXT.replace("map_server : Server", "map_server : NewServer") + new).require()
+    with pytest.raises(PlanRefused, match="do not fit at the same time: /map has at most one server"):
+        planner()(change_between(initial(start), start, target))
 
 
 def test_a_server_is_handed_over_as_an_output_is() -> None:

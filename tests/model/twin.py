@@ -27,6 +27,7 @@ from midstride.model.action import (
     SetParameters,
     Upgrade,
 )
+from midstride.model.component import Connector
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Contract, Predicate
 
@@ -48,6 +49,8 @@ def satisfies(p: Document | None, q: Document | None) -> bool:
     if p["type"] != q["type"]:
         return False
     if "rate" in q and not ("rate" in p and p["rate"] >= q["rate"]):
+        return False
+    if "within_seconds" in q and not ("within_seconds" in p and p["within_seconds"] <= q["within_seconds"]):
         return False
     if not _strong_enough(p.get("qos", {}), q.get("qos", {})):
         return False
@@ -139,7 +142,7 @@ def of_configuration(s: Configuration) -> State:
         modes={(ref.instance, ref.functionality): index for ref, index in s.modes.items()},
         parameters={name: dict(instance.parameters) for name, instance in s.instances.items()},
         connectors={
-            name: {"guarantee": encode(PredicateForm.of(c.guarantee)), "cap": c.max_publishers, "topic": c.topic}
+            name: {"guarantee": encode(PredicateForm.of(c.guarantee)), "cap": _cap(c), "topic": c.topic}
             for name, c in world.connectors.items()
         },
         environment=[
@@ -148,6 +151,12 @@ def of_configuration(s: Configuration) -> State:
         ],
         capacity={name: resource.capacity for name, resource in world.resources.items()},
     )
+
+
+def _cap(connector: Connector) -> int | None:
+    """A service or ROS action has at most one server, whatever is stated."""
+    _, folder, _ = connector.guarantee.type.split("/")
+    return 1 if folder in ("srv", "action") else connector.max_publishers
 
 
 # -- validity (section 3) --------------------------------------------------------------------------------

@@ -256,9 +256,10 @@ class AnswerSets:
             PortRef(name, output) for name, instance in self.instances.items() for output in instance.component.outputs
         ]
         for name, connector in context.connectors.items():
-            if connector.max_publishers is not None:
+            cap = connector.max_publishers if connector.kind == "topic" else 1
+            if cap is not None:
                 outside = len(context.publishers_out_of_scope(connector))
-                self._fact("capped", name, connector.max_publishers - outside)
+                self._fact("capped", name, cap - outside)
                 sibling = self.change.sibling(name)
                 for output in outputs:
                     self._fact("counts", output, name, name)

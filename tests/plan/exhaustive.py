@@ -134,7 +134,8 @@ class Exhaustive:
         yield from self._hand_overs(state, configuration, ready)
 
     def _slot(self, configuration: Configuration, connector: str) -> bool:
-        cap = configuration.context.connectors[connector].max_publishers
+        declared = configuration.context.connectors[connector]
+        cap = declared.max_publishers if declared.kind == "topic" else 1
         sibling = self.change.sibling(connector)
         beside = 0 if sibling is None else len(configuration.publishers_on(sibling))
         return cap is None or publishers_count(configuration, connector) + beside < cap

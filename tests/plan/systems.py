@@ -1,6 +1,7 @@
 """Random systems and random changes to them, small and full of what makes planning hard.
 
-Everything follows from the seed of the ``Random`` given, so that a failure is found again.
+Everything follows from the seed of the ``Random`` given, so that a failure is found again. Systems are drawn with
+topics alone; :func:`with_services` makes services and ROS actions of some, each of which has at most one server.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ from midstride.model.component import (
     Resource,
 )
 from midstride.model.configuration import Configuration
-from midstride.model.contract import Interval, OneOf, Predicate, QoS, ValueSet, satisfies
+from midstride.model.contract import ConnectorKind, Interval, OneOf, Predicate, QoS, ValueSet, satisfies
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, initial
+from tests.kinds import of_kind, rate_of, with_rate
 
 TYPES = ("std_msgs/msg/A", "std_msgs/msg/B")
 PROFILES = (QoS(), QoS(reliability="best_effort"), QoS(durability="transient_local"), QoS(deadline=0.5))
@@ -41,7 +43,8 @@ def strong(rng: Random, kind: str | None = None) -> Predicate:
     """What is promised at best: a rate, now and then a QoS and fields."""
     profile = rng.choice(PROFILES) if rng.random() < 0.2 else PROFILES[0]
     fields = rng.choice(FIELDS) if rng.random() < 0.25 else ()
-    return Predicate(kind or rng.choice(TYPES), 10.0, profile, fields)
+    plain = with_rate(Predicate(kind or rng.choice(TYPES)), 10.0)
+    return replace(plain, qos=profile, fields=fields) if plain.kind == "topic" else plain
 
 
 def weakened(rng: Random, predicate: Predicate, *, endpoint: bool = False) -> Predicate:
@@ -49,10 +52,10 @@ def weakened(rng: Random, predicate: Predicate, *, endpoint: bool = False) -> Pr
     for _ in range(rng.choice((0, 1, 1, 2, 3))):
         clause = rng.randrange(3)
         if clause == 0:
-            predicate = replace(predicate, rate=rng.choice((5.0, None)) if predicate.rate == 10.0 else None)
+            predicate = with_rate(predicate, rng.choice((5.0, None)) if rate_of(predicate) == 10.0 else None)
         elif clause == 1:
             predicate = replace(predicate, fields=predicate.fields[1:])
-        elif not endpoint:
+        elif not endpoint and predicate.kind == "topic":
             predicate = replace(predicate, qos=rng.choice(PROFILES[:2]))
     return predicate
 
@@ -183,7 +186,81 @@ def change(
     target = start
     for _ in range(rng.randint(1, edits)):
         target = edit(rng, target, world)
-    return bounded(rng, start, target)
+    return bounded(rng, *with_one_server(rng, start, target))
+
+
+def with_services(rng: Random, start: Specification, target: Specification) -> tuple[Specification, Specification]:
+    """Both with services and ROS actions in place of the topics of one type or of both."""
+    kinds: dict[str, ConnectorKind] = dict(zip(TYPES, rng.choice(_KINDS_OF_TYPES), strict=True))
+    return with_one_server(rng, *(_of_kinds(each, kinds) for each in (start, target)))
+
+
+# The first type is that of all topics in `tight` and `exclusive`.
+_KINDS_OF_TYPES: tuple[tuple[ConnectorKind, ConnectorKind], ...] = (
+    ("service", "topic"),
+    ("service", "action"),
+    ("action", "topic"),
+    ("action", "service"),
+)
+
+
+def _of_kinds(spec: Specification, kinds: dict[str, ConnectorKind]) -> Specification:
+    def turned(contract: Predicate) -> Predicate:
+        return of_kind(contract, kinds[contract.type])
+
+    def assumed(assumption: Assumption) -> Assumption:
+        return turned(assumption) if isinstance(assumption, Predicate) else assumption
+
+    def mode(each: Mode) -> Mode:
+        guarantees = {output: turned(contract) for output, contract in each.guarantees.items()}
+        return replace(each, assumptions=tuple(map(assumed, each.assumptions)), guarantees=Map(guarantees))
+
+    def component(of: ComponentSpec) -> ComponentSpec:
+        functionalities = {each.name: replace(each, modes=tuple(map(mode, each.modes))) for each in of}
+        inputs = {port: turned(contract) for port, contract in of.inputs.items()}
+        return replace(of, inputs=Map(inputs), functionalities=Map(functionalities))
+
+    return replace(
+        spec,
+        connectors=Map(
+            {name: replace(each, guarantee=turned(each.guarantee)) for name, each in spec.connectors.items()}
+        ),
+        components=Map({name: component(of) for name, of in spec.components.items()}),
+        environment=tuple(replace(offer, guarantee=turned(offer.guarantee)) for offer in spec.environment),
+    )
+
+
+def with_one_server(rng: Random, start: Specification, target: Specification) -> tuple[Specification, Specification]:
+    """Both without all servers but one of each service and ROS action: at each end any of those, or one outside."""
+    for name in sorted(start.connectors):
+        if start.connectors[name].kind == "topic":
+            continue
+        outside = any(offer.topic == name for offer in start.environment)
+        if outside and rng.random() < 0.5:
+            outside = False
+            start, target = (
+                replace(spec, environment=tuple(offer for offer in spec.environment if offer.topic != name))
+                for spec in (start, target)
+            )
+        start, target = (_served_by_one(rng, spec, name, outside) for spec in (start, target))
+    return start, target
+
+
+def _served_by_one(rng: Random, spec: Specification, name: str, outside: bool) -> Specification:
+    servers = [
+        (role, output)
+        for role in sorted(spec.nodes)
+        for output in spec.component_of(role).outputs
+        if name in spec.nodes[role].attachments.get(output, ())
+    ]
+    kept = None if outside or not servers else rng.choice(servers)
+    for role, output in servers:
+        if (role, output) != kept:
+            old = spec.nodes[role]
+            left = tuple(each for each in old.attachments[output] if each != name)
+            attachments = old.attachments.set(output, left) if left else old.attachments.delete(output)
+            spec = spec.with_node(replace(old, attachments=attachments))
+    return spec
 
 
 def edit(rng: Random, target: Specification, world: bool) -> Specification:

@@ -30,13 +30,15 @@ MOST = 3_000
 
 
 def plans(seeds: range, strategies: Sequence[str] = ("minimal", "paper")) -> Iterator[tuple[str, Plan]]:
-    """Every third change is tight."""
+    """Every third change is tight; every other one is of a system with services."""
     for seed in seeds:
         rng = Random(seed)
         if seed % 3 == 0:
             start, target = systems.tight(rng, rng.randint(2, 3))
         else:
             start, target = systems.change(rng, systems.system(rng, 5, 4), 5)
+        if seed % 2:
+            start, target = systems.with_services(rng, start, target)
         for strategy in strategies:
             try:
                 yield f"seed {seed}, {strategy}", STRATEGIES[strategy](change_between(initial(start), start, target))

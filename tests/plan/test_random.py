@@ -35,12 +35,18 @@ from tests.strategies.systems import specifications
 
 SEEDS = st.integers(0, 2**32 - 1)
 NAMES = st.sampled_from(sorted(STRATEGIES))
+# Whether there are services and ROS actions in place of some or all of the topics.
+SERVICES = st.booleans()
 
 
-def drawn(seed: int, *, nodes: int = 5, topics: int = 4, edits: int = 5, constraints: bool = False) -> Change:
+def drawn(
+    seed: int, *, nodes: int = 5, topics: int = 4, edits: int = 5, constraints: bool = False, services: bool = False
+) -> Change:
     """The change that a seed stands for. What both ends do not meet is no example."""
     rng = Random(seed)
     start, target = systems.change(rng, systems.system(rng, nodes, topics), edits)
+    if services:
+        start, target = systems.with_services(rng, start, target)
     if constraints:
         target = systems.constrained(rng, start, target)
     return between(start, target)
@@ -54,13 +60,15 @@ def between(start: Specification, target: Specification) -> Change:
         raise
 
 
-def drawn_to_be_hard(seed: int, most: int = 4) -> Change:
+def drawn_to_be_hard(seed: int, most: int = 4, services: bool = False) -> Change:
     """Outputs that exchange capped topics, or a start in which something has degraded; every other change each."""
     rng = Random(seed)
     if seed % 2:
         start, target = systems.exclusive(rng, rng.randint(2, most))
     else:
         start, target = systems.change(rng, systems.system(rng, 4, 3), 4)
+    if services:
+        start, target = systems.with_services(rng, start, target)
     if seed % 2 and rng.random() < 0.7:
         return change_between(initial(start), start, target)
     return change_between(*systems.degraded(rng, start, target))
@@ -84,9 +92,9 @@ def holds(plan: Plan) -> None:
         assert violations(configuration) == []
 
 
-@given(SEEDS, NAMES, st.booleans())
-def test_every_plan_holds(seed: int, strategy: str, constraints: bool) -> None:
-    holds(planned(drawn(seed, constraints=constraints), strategy))
+@given(SEEDS, NAMES, st.booleans(), SERVICES)
+def test_every_plan_holds(seed: int, strategy: str, constraints: bool, services: bool) -> None:
+    holds(planned(drawn(seed, constraints=constraints, services=services), strategy))
 
 
 @given(specifications(), SEEDS, NAMES)
@@ -102,17 +110,19 @@ def test_every_plan_holds_between_any_two_systems(start: Specification, target: 
 
 
 @settings(max_examples=40)
-@given(SEEDS, NAMES)
-def test_every_plan_holds_from_a_degraded_start_and_among_capped_topics(seed: int, strategy: str) -> None:
-    plan = planned(drawn_to_be_hard(seed), strategy)
+@given(SEEDS, NAMES, SERVICES)
+def test_every_plan_holds_from_a_degraded_start_and_among_capped_topics(
+    seed: int, strategy: str, services: bool
+) -> None:
+    plan = planned(drawn_to_be_hard(seed, services=services), strategy)
     assert decode_plan(json.loads(json.dumps(encode_plan(plan)))).change == plan.change
     holds(plan)
 
 
 @settings(max_examples=25)
-@given(SEEDS)
-def test_minimal_is_as_good_from_a_degraded_start_and_among_capped_topics(seed: int) -> None:
-    change = drawn_to_be_hard(seed, 3)
+@given(SEEDS, SERVICES)
+def test_minimal_is_as_good_from_a_degraded_start_and_among_capped_topics(seed: int, services: bool) -> None:
+    change = drawn_to_be_hard(seed, 3, services)
     try:
         least = Exhaustive(change, 10).optimum()
     except TooLarge:
@@ -126,7 +136,7 @@ def test_minimal_is_as_good_from_a_degraded_start_and_among_capped_topics(seed: 
 def test_minimal_is_as_good_on_many_degraded_starts_and_capped_topics() -> None:
     costly = {True: 0, False: 0}
     for seed in range(4000):
-        change = drawn_to_be_hard(seed)
+        change = drawn_to_be_hard(seed, services=seed % 4 > 1)
         try:
             least = Exhaustive(change, 10).optimum()
         except TooLarge:
@@ -138,18 +148,18 @@ def test_minimal_is_as_good_on_many_degraded_starts_and_capped_topics() -> None:
     assert min(costly.values()) > 50
 
 
-@given(SEEDS, NAMES)
-def test_the_json_form_says_the_same(seed: int, strategy: str) -> None:
-    plan = planned(drawn(seed, constraints=True), strategy)
+@given(SEEDS, NAMES, SERVICES)
+def test_the_json_form_says_the_same(seed: int, strategy: str, services: bool) -> None:
+    plan = planned(drawn(seed, constraints=True, services=services), strategy)
     document = json.loads(json.dumps(encode_plan(plan)))
     verdict = replay(decode_plan(document))
     assert verdict.holds, verdict
     assert decode_plan(document).steps == plan.steps
 
 
-@given(SEEDS, NAMES, SEEDS)
-def test_steps_that_commute_may_be_taken_in_any_order(seed: int, strategy: str, order: int) -> None:
-    plan = planned(drawn(seed), strategy)
+@given(SEEDS, NAMES, SEEDS, SERVICES)
+def test_steps_that_commute_may_be_taken_in_any_order(seed: int, strategy: str, order: int, services: bool) -> None:
+    plan = planned(drawn(seed, services=services), strategy)
     rng, left, done, configuration = Random(order), list(range(len(plan.steps))), set[int](), plan.change.start
     while left:
         index = rng.choice([index for index in left if done.issuperset(plan.dependencies[index])])
@@ -160,9 +170,9 @@ def test_steps_that_commute_may_be_taken_in_any_order(seed: int, strategy: str, 
     assert configuration == last
 
 
-@given(SEEDS, NAMES)
-def test_the_makespan_is_the_longest_chain_of_dependencies(seed: int, strategy: str) -> None:
-    plan = planned(drawn(seed), strategy)
+@given(SEEDS, NAMES, SERVICES)
+def test_the_makespan_is_the_longest_chain_of_dependencies(seed: int, strategy: str, services: bool) -> None:
+    plan = planned(drawn(seed, services=services), strategy)
     ends: list[float] = []
     for step, waits in zip(plan.steps, plan.dependencies, strict=True):
         ends.append(max((ends[index] for index in waits), default=0.0) + step.seconds)
@@ -170,11 +180,11 @@ def test_the_makespan_is_the_longest_chain_of_dependencies(seed: int, strategy: 
 
 
 @settings(max_examples=examples(200))
-@given(SEEDS)
-@example(108447)  # a hand-over on one topic that had better wait for a place on another
-@example(109656)  # a place given up by one whose replacement is not there yet
-def test_minimal_is_as_good_as_every_order_tried(seed: int) -> None:
-    change = drawn(seed, nodes=4, topics=3)
+@given(SEEDS, SERVICES)
+@example(108447, False)  # a hand-over on one topic that had better wait for a place on another
+@example(109656, False)  # a place given up by one whose replacement is not there yet
+def test_minimal_is_as_good_as_every_order_tried(seed: int, services: bool) -> None:
+    change = drawn(seed, nodes=4, topics=3, services=services)
     try:
         twin = Exhaustive(change)
     except TooLarge:
@@ -188,17 +198,17 @@ def test_minimal_is_as_good_as_every_order_tried(seed: int) -> None:
         assert twin.optimum(spotless=True) is None
 
 
-@given(SEEDS)
-def test_minimal_is_never_worse_than_the_others(seed: int) -> None:
-    change = drawn(seed)
+@given(SEEDS, SERVICES)
+def test_minimal_is_never_worse_than_the_others(seed: int, services: bool) -> None:
+    change = drawn(seed, services=services)
     least = planned(change, "minimal")
     for strategy in sorted(STRATEGIES):
         assert least.disruption <= planned(change, strategy).disruption + 1e-9
 
 
-@given(SEEDS)
-def test_minimal_makes_each_difference_once_and_no_other(seed: int) -> None:
-    change = drawn(seed)
+@given(SEEDS, SERVICES)
+def test_minimal_makes_each_difference_once_and_no_other(seed: int, services: bool) -> None:
+    change = drawn(seed, services=services)
     found: list[tuple[str, str]] = []
     for document in encode_plan(planned(change, "minimal"))["steps"]:
         match document["action"]:
@@ -235,11 +245,13 @@ def test_no_change_is_no_plan(seed: int) -> None:
         assert STRATEGIES[strategy](change).steps == ()
 
 
-@given(SEEDS)
-def test_a_change_of_some_roles_is_the_same_either_way(seed: int) -> None:
+@given(SEEDS, SERVICES)
+def test_a_change_of_some_roles_is_the_same_either_way(seed: int, services: bool) -> None:
     """What costs the change finds the same as what walks the system."""
     rng = Random(seed)
     start, target = systems.change(rng, systems.system(rng), 4, world=False)
+    if services:
+        start, target = systems.with_services(rng, start, target)
     configuration = initial(start)
     roles = [r for r in {*start.nodes, *target.nodes} if start.nodes.get(r) != target.nodes.get(r)]
     roles += [
@@ -252,11 +264,13 @@ def test_a_change_of_some_roles_is_the_same_either_way(seed: int) -> None:
     assert one == other
 
 
-@given(SEEDS, NAMES)
-def test_the_running_names_do_not_matter(seed: int, strategy: str) -> None:
+@given(SEEDS, NAMES, SERVICES)
+def test_the_running_names_do_not_matter(seed: int, strategy: str, services: bool) -> None:
     """A change after a change: instances that bear other names than their roles."""
     rng = Random(seed)
     first, second = systems.change(rng, systems.system(rng), 4)
+    if services:
+        first, second = systems.with_services(rng, first, second)
     plan = planned(between(first, second), "minimal")
     *_, last = plan.configurations()
     running = plan.change.in_target_context(last)
@@ -270,7 +284,10 @@ def test_the_running_names_do_not_matter(seed: int, strategy: str) -> None:
 
 
 def instances(wanted: int, fewest: int, most: int, replaced: int) -> Iterator[tuple[int, Change, Exhaustive]]:
-    """So many changes with between ``fewest`` and ``most`` structural differences, every other one tight."""
+    """So many changes with between ``fewest`` and ``most`` structural differences, every other one tight.
+
+    Half of each have services.
+    """
     found, seed = {True: 0, False: 0}, 0
     while sum(found.values()) < wanted:
         seed += 1
@@ -281,6 +298,8 @@ def instances(wanted: int, fewest: int, most: int, replaced: int) -> Iterator[tu
             start, target = systems.tight(rng, rng.randint(2, replaced))
         else:
             start, target = systems.change(rng, systems.system(rng, 4, 3), 5)
+        if seed % 4 > 1:
+            start, target = systems.with_services(rng, start, target)
         change = change_between(initial(start), start, target)
         try:
             twin = Exhaustive(change, most)
@@ -326,6 +345,8 @@ def test_minimal_meets_the_constraints_that_can_be_met() -> None:
     for seed in range(8000):
         rng = Random(seed)
         start, target = systems.change(rng, systems.system(rng, 4, 3), 4)
+        if seed % 2:
+            start, target = systems.with_services(rng, start, target)
         asked = systems.constrained(rng, start, target).constraints
         decidable = tuple(c for c in asked if not (isinstance(c, Limit) and c.seconds) and not is_circle(c))
         change = change_between(initial(start), start, replace(target, constraints=decidable))

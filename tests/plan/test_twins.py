@@ -28,13 +28,15 @@ def decidable(constraint: Constraint) -> bool:
 
 
 def changes(seeds: range) -> Iterator[tuple[int, Change]]:
-    """Every third tight, every third with constraints."""
+    """Every third tight, every third with constraints; of each, every other one with services."""
     for seed in seeds:
         rng = Random(seed)
         if seed % 3 == 0:
             start, target = systems.tight(rng, rng.randint(2, 3))
         else:
             start, target = systems.change(rng, systems.system(rng, 4, 3), 4)
+        if seed % 2:
+            start, target = systems.with_services(rng, start, target)
         if seed % 3 == 1:
             asked = systems.constrained(rng, start, target).constraints
             target = replace(target, constraints=tuple(filter(decidable, asked)))

@@ -2,7 +2,8 @@
 
 Everything is drawn from few types, rates and topics, so that contracts often match. The results are well formed (M1
 to M3; every output is owned) and every attachment fits, as ``attach`` requires. They include cycles, topics with
-several publishers, inputs on several topics, caps, resources, the environment and both forms of assumption.
+several publishers, inputs on several topics, services and ROS actions with one of several possible servers, caps,
+resources, the environment and both forms of assumption.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from midstride.model.component import (
 from midstride.model.configuration import Configuration, SystemContext
 from midstride.model.contract import (
     NOTHING,
+    ConnectorKind,
     Contract,
     Durability,
     Interval,
@@ -46,16 +48,20 @@ from midstride.model.contract import (
 )
 from midstride.model.rules import normal_guarantee
 from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification, structure
+from tests.kinds import KINDS, of_kind
 
 TYPES: Final = ("demo_msgs/msg/A", "demo_msgs/msg/B")
 RATES: Final = (None, 1.0, 5.0, 10.0)
+BOUNDS: Final = (None, 1.0, 0.2, 0.1)
+SERVED_TYPES: Final = ("demo_msgs/srv/A", "demo_msgs/action/A")
 RESOURCES: Final = ("gpu", "/dev/video0")
 TOPICS: Final = ("/t0", "/t1", "/t2", "/t3", "/t4")
 
 _A, _B = TYPES
 _LOSSY: Final = QoS(reliability="best_effort")
 _WIDE: Final = (("width", Interval(low=1)),)
-# The contracts of ports and topics: few enough to match often, different in every clause.
+# The contracts of ports and topics: few enough to match often, different in every clause. Services and ROS actions have
+# those that ``of_kind`` makes of them.
 NEEDS: Final = (Predicate(_A, 5.0), Predicate(_A, 1.0), Predicate(_A), Predicate(_A, 1.0, _LOSSY), Predicate(_B, 1.0))
 _USUAL: Final = (*NEEDS[:2] * 3, *NEEDS)
 OFFERS: Final = (
@@ -109,9 +115,11 @@ def predicates() -> st.SearchStrategy[Predicate]:
     """Predicates that differ in everything there is."""
     one = st.tuples(st.sampled_from(("width", "header.frame_id")), value_sets()).map(lambda field: (field,))
     two = st.tuples(value_sets(), value_sets()).map(lambda sets: (("width", sets[0]), ("height", sets[1])))
-    return st.builds(
+    messages = st.builds(
         Predicate, st.sampled_from(TYPES), st.sampled_from(RATES), qos_profiles(), st.one_of(st.just(()), one, two)
     )
+    requests = st.builds(Predicate, st.sampled_from(SERVED_TYPES), within=st.sampled_from(BOUNDS))
+    return st.one_of(messages, messages, requests)
 
 
 @cache
@@ -122,6 +130,9 @@ def contracts() -> st.SearchStrategy[Contract]:
 @st.composite
 def stronger(draw: st.DrawFn, weaker: Predicate) -> Predicate:
     """A predicate of the same endpoint that satisfies ``weaker``."""
+    if weaker.kind != "topic":
+        bounds = [bound for bound in BOUNDS if weaker.within is None or (bound is not None and bound <= weaker.within)]
+        return replace(weaker, within=draw(st.sampled_from(bounds)))
     rates = [rate for rate in RATES if weaker.rate is None or (rate is not None and rate >= weaker.rate)]
     fields = dict(weaker.fields)
     for path, values in weaker.fields:
@@ -153,20 +164,25 @@ _LOSING: Final = {
 }
 
 
-def guarantee_chains(length: int) -> st.SearchStrategy[tuple[Contract, ...]]:
+def guarantee_chains(length: int, kind: ConnectorKind = "topic") -> st.SearchStrategy[tuple[Contract, ...]]:
     """What one output guarantees in each mode, best first; mostly nothing in the last."""
     often = _LOSING[length] * (2 * len(_CHAINS[length]) // len(_LOSING[length]))
-    return st.sampled_from(often + _CHAINS[length])
+    return st.sampled_from(often + _CHAINS[length]).map(
+        lambda chain: tuple(of_kind(each, kind) if isinstance(each, Predicate) else each for each in chain)
+    )
 
 
 # -- components --------------------------------------------------------------------------------------
 
 
 @st.composite
-def components(draw: st.DrawFn, name: str = "C") -> ComponentSpec:
-    """Well-formed components of up to three inputs, two outputs and two functionalities; filters for the most part."""
+def components(draw: st.DrawFn, name: str = "C", kinds: tuple[ConnectorKind, ...] = KINDS) -> ComponentSpec:
+    """Well-formed components of up to three inputs, two outputs and two functionalities; filters for the most part.
+
+    Their ports are for connectors of these ``kinds``.
+    """
     count = draw(st.sampled_from((1, 1, 2, 0, 3)))
-    inputs = {f"in{number}": draw(st.sampled_from(_USUAL)) for number in range(count)}
+    inputs = {f"in{number}": draw(_needs(kinds)) for number in range(count)}
     owners = draw(st.sampled_from(((0,), (0,), (0, 0), (0, 1), (1,), ())))  # which functionality owns each output
     owned: dict[int, list[str]] = {0: [], 1: []}
     for number, owner in enumerate(owners):
@@ -176,7 +192,7 @@ def components(draw: st.DrawFn, name: str = "C") -> ComponentSpec:
         name,
         inputs=inputs,
         outputs=tuple(f"out{number}" for number in range(len(owners))),
-        functionalities=tuple(draw(_functionalities(f"f{n}", inputs, tuple(owned[n]))) for n in range(count)),
+        functionalities=tuple(draw(_functionalities(f"f{n}", inputs, tuple(owned[n]), kinds)) for n in range(count)),
         resource_usage=draw(st.sampled_from(({}, {}, {"gpu": 0.1}, {"gpu": 0.2, "/dev/video0": 1.0}))),
         parameters=draw(st.sampled_from(({}, _PARAMETERS))),
         tolerates={port: 3 for port in draw(st.sampled_from(((), ("in0",)))) if port in inputs and inputs[port].rate},
@@ -186,14 +202,18 @@ def components(draw: st.DrawFn, name: str = "C") -> ComponentSpec:
 _PARAMETERS: Final = {"gain": ParameterSpec(0.5, changeable=True), "model": ParameterSpec("small")}
 
 
+def _needs(kinds: tuple[ConnectorKind, ...]) -> st.SearchStrategy[Predicate]:
+    return st.builds(of_kind, st.sampled_from(_USUAL), st.sampled_from(kinds))
+
+
 @st.composite
 def _functionalities(
-    draw: st.DrawFn, name: str, inputs: dict[str, Predicate], outputs: tuple[str, ...]
+    draw: st.DrawFn, name: str, inputs: dict[str, Predicate], outputs: tuple[str, ...], kinds: tuple[ConnectorKind, ...]
 ) -> FunctionalitySpec:
     spared = draw(st.sampled_from((None, None, None, *inputs)))
     used = tuple(port for port in inputs if port != spared)
     length = draw(st.sampled_from((2, 2, 3)))
-    chains = {output: draw(guarantee_chains(length)) for output in outputs}
+    chains = {output: draw(guarantee_chains(length, draw(st.sampled_from(kinds)))) for output in outputs}
     modes = []
     for index in range(length):
         assumed = draw(_assumptions(inputs, used)) if index < length - 1 else ()
@@ -274,29 +294,50 @@ def _specification(
 
 @st.composite
 def _independent(draw: st.DrawFn, most: int) -> Specification:
-    types = [draw(components(f"C{number}")) for number in range(draw(st.sampled_from((3, 2, 1))))]
+    # One kind or two, so that contracts often match.
+    kinds = draw(st.sampled_from(_KINDS_OF_A_SYSTEM))
+    types = [draw(components(f"C{number}", kinds)) for number in range(draw(st.sampled_from((3, 2, 1))))]
     names = TOPICS[: draw(st.sampled_from((4, 3, 2, 1)))]
-    topics = {name: draw(st.sampled_from(_USUAL)) for name in names}
-    environment = draw(_environments(names))
+    topics = {name: draw(_needs(kinds)) for name in names}
+    environment = draw(_environments(topics))
     count = draw(st.sampled_from((*range(most, 1, -1), 1)))
     cast = {f"n{number}": draw(st.sampled_from(types)) for number in range(count)}
-    return _specification(cast, draw(_wiring(cast, topics)), topics, environment)
+    return _specification(cast, draw(_wiring(cast, topics, environment)), topics, environment)
+
+
+_KINDS_OF_A_SYSTEM: Final[tuple[tuple[ConnectorKind, ...], ...]] = (
+    ("topic",),
+    ("service",),
+    ("topic", "service"),
+    ("topic", "action"),
+    ("service", "action"),
+)
 
 
 @st.composite
-def _environments(draw: st.DrawFn, topics: tuple[str, ...]) -> tuple[EnvironmentGuarantee, ...]:
-    return tuple(
-        EnvironmentGuarantee(f"e{number}", draw(st.sampled_from(OFFERS)), draw(st.sampled_from((None, *topics))))
-        for number in range(draw(st.sampled_from((0, 0, 1, 2))))
-    )
+def _environments(draw: st.DrawFn, topics: dict[str, Predicate]) -> tuple[EnvironmentGuarantee, ...]:
+    """What is offered outside; of the servers of one service there, at most one."""
+    offers: list[EnvironmentGuarantee] = []
+    for number in range(draw(st.sampled_from((0, 0, 1, 2)))):
+        served = {offer.topic for offer in offers if offer.guarantee.kind != "topic"}
+        topic = draw(st.sampled_from((None, *(name for name in topics if name not in served))))
+        kind = draw(st.sampled_from(KINDS)) if topic is None else topics[topic].kind
+        offers.append(EnvironmentGuarantee(f"e{number}", of_kind(draw(st.sampled_from(OFFERS)), kind), topic))
+    return tuple(offers)
 
 
 @st.composite
 def _networks(draw: st.DrawFn, most: int) -> Specification:
-    """Each node publishes a topic of its own, now and then another's as well, and reads up to two of the others'."""
+    """Each node publishes a topic of its own, now and then another's as well, and reads up to two of the others'.
+
+    In place of the topic it may have a service or a ROS action, which has one server.
+    """
     count = draw(st.sampled_from((*range(most, 1, -1), 1)))
     names = tuple(f"/t{number}" for number in range(count))
-    topics = {name: draw(st.sampled_from(NEEDS[:3])) for name in names}
+    kinds = draw(st.sampled_from((*_KINDS_OF_A_SYSTEM, KINDS)))
+    topics = {name: of_kind(draw(st.sampled_from(NEEDS[:3])), draw(st.sampled_from(kinds))) for name in names}
+    environment = draw(_environments(topics))
+    outside = {offer.topic for offer in environment}
     cast, wiring = {}, {}
     for number, own in enumerate(names):
         near = names[max(0, number - 2) : number] * count  # those before, and at times any: so there are cycles
@@ -305,17 +346,21 @@ def _networks(draw: st.DrawFn, most: int) -> Specification:
         ]
         inputs = {f"in{index}": topics[name] for index, name in enumerate(read)}
         cast[f"n{number}"] = ComponentSpec.of(
-            f"C{number}", inputs=inputs, outputs=("out0",), functionalities=(draw(_links(inputs)),)
+            f"C{number}", inputs=inputs, outputs=("out0",), functionalities=(draw(_links(inputs, topics[own].kind)),)
         )
-        also = draw(st.sampled_from((*[own] * count, *names)))
-        wiring[f"n{number}"] = {"out0": tuple(dict.fromkeys((own, also)))}
+        also = draw(st.sampled_from((*[own] * count, *(name for name in names if topics[name].kind == "topic"))))
+        written = (
+            dict.fromkeys((own, also)) if topics[own].kind == "topic" else {own: None} if own not in outside else {}
+        )
+        wiring[f"n{number}"] = {"out0": tuple(written)} if written else {}
         wiring[f"n{number}"] |= {f"in{index}": (name,) for index, name in enumerate(read)}
-    return _specification(cast, wiring, topics, draw(_environments(names)))
+    return _specification(cast, wiring, topics, environment)
 
 
 @st.composite
-def _links(draw: st.DrawFn, inputs: dict[str, Predicate]) -> FunctionalitySpec:
+def _links(draw: st.DrawFn, inputs: dict[str, Predicate], kind: ConnectorKind) -> FunctionalitySpec:
     """A functionality that passes on what it receives; a source has what it needs, or lacks it."""
+    best, less_good = (of_kind(offer, kind) for offer in OFFERS[:3:2])
     used = tuple(inputs)
     forms: list[tuple[Assumption, ...]] = [(), (NEEDS[4],)]
     if used:
@@ -325,22 +370,28 @@ def _links(draw: st.DrawFn, inputs: dict[str, Predicate]) -> FunctionalitySpec:
     middle: list[tuple[tuple[Assumption, ...], Map[str, Predicate]]] = []
     if draw(st.booleans()):
         less = draw(st.sampled_from((normal[:1], normal[1:])))
-        middle.append((less, Map({"out0": draw(st.sampled_from(OFFERS[:3:2]))})))
-    chain = [(normal, Map({"out0": OFFERS[0]})), *middle, ((), Map())]
+        middle.append((less, Map({"out0": draw(st.sampled_from((best, less_good)))})))
+    chain = [(normal, Map({"out0": best})), *middle, ((), Map())]
     modes = tuple(Mode(f"m{index}", assumed, stated) for index, (assumed, stated) in enumerate(chain))
     return FunctionalitySpec("f0", modes, used, ("out0",))
 
 
 @st.composite
 def _wiring(
-    draw: st.DrawFn, cast: dict[str, ComponentSpec], topics: dict[str, Predicate]
+    draw: st.DrawFn,
+    cast: dict[str, ComponentSpec],
+    topics: dict[str, Predicate],
+    environment: tuple[EnvironmentGuarantee, ...],
 ) -> dict[str, dict[str, tuple[str, ...]]]:
     """The topics of each port of each node: one for the most part. A topic mostly has one publisher, an input some."""
     wiring: dict[str, dict[str, tuple[str, ...]]] = {role: {} for role in cast}
     published: list[str] = []
+    outside = {offer.topic for offer in environment}
     for role, component in cast.items():
         for port in component.outputs:
-            fit = [name for name in topics if satisfies(normal_guarantee(component, port), topics[name])]
+            served = {name for name in topics if topics[name].kind != "topic" and name in {*published, *outside}}
+            offered = normal_guarantee(component, port)
+            fit = [name for name in topics if name not in served and satisfies(offered, topics[name])]
             better = [name for name in fit if name not in published]
             if chosen := draw(_some(fit, better)):
                 wiring[role][port] = chosen

@@ -16,6 +16,8 @@ from midstride.plan.strategies.registry import planner
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ROVER = Path(__file__).parent / "rover.stride"
 TALKER = EXAMPLES / "talker" / "talker.stride"
+# It has a service and a ROS action.
+MAPPING = Path(__file__).parents[1] / "lang" / "seeds" / "mapping.stride"
 
 Document = dict[str, Any]
 

@@ -6,9 +6,11 @@ from collections import Counter
 
 import pytest
 
-from midstride.model.action import Attach
+from midstride.model.action import Attach, Handover, Swap
+from midstride.model.contract import ConnectorKind
 from midstride.verify.run import find
-from tests.model.build import port, source, system
+from tests.kinds import of_kind
+from tests.model.build import at, component, mode, port, source, system
 from tests.verify.conformance import ATOMS, Batch, Disagreement, explained
 from tests.verify.faults import FAULTS, Fault
 from tests.verify.walks import Claim, World, claimed, key, walks
@@ -89,6 +91,7 @@ def test_everything_is_tried(judged: Judged) -> None:
     assert groups["degrade"] >= 3
     assert groups["upgrade"] >= 3
     assert batch.atoms.capped
+    assert any("server 1 of at most 1" in comment for comment in batch.atoms.sigs["Slot"].values())
     assert batch.atoms.sigs["Overload"]
     assert batch.atoms.sigs["NamedInputs"]
     assert batch.atoms.tuples["env_guars"]
@@ -131,6 +134,22 @@ def test_one_publisher_too_many_is_counted(cap: int) -> None:
     assert not claim.allowed
     batch = Batch()
     batch.add(0, World(list(full.instances.values()), {key(full): full}, [claim], []))
+    assert batch.disagreements(find()) == []
+
+
+@pytest.mark.parametrize("kind", ["service", "action"])
+def test_a_second_server_is_refused_and_a_hand_over_to_it_is_not(kind: ConnectorKind) -> None:
+    contract = of_kind(at(5.0, "demo_msgs/msg/A"), kind)
+    server = component("Server", {}, ["out"], [mode("normal", out=contract), mode("degraded")])
+    modes = {"n0.work": 0, "n1.work": 0}
+    served = system({"n0": server, "n1": server}, ["n0.out /s"], topics={"/s": contract}, modes=modes)
+    second = claimed(0, served, Attach(port("n1.out"), "/s"))
+    swapped = claimed(0, served, Handover((Swap("/s", port("n0.out"), port("n1.out")),)))
+    assert not second.allowed
+    assert swapped.after is not None
+    configurations = {key(each): each for each in (served, swapped.after)}
+    batch = Batch()
+    batch.add(0, World(list(served.instances.values()), configurations, [second, swapped], []))
     assert batch.disagreements(find()) == []
 
 

@@ -25,21 +25,23 @@ from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.export import dump_configuration, dump_plan
 from midstride.verify.library import bundled
 from midstride.verify.verdict import Answer, Finding, Verdict
-from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
+from tests.verify.systems import EXAMPLES, MAPPING, ROVER, TALKER, plan, specification
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "alloy"
 
 # -- the text ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["talker", "rover"])
+@pytest.mark.parametrize("name", ["talker", "rover", "mapping"])
 def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
     """`MIDSTRIDE_GOLDEN=write` writes it anew. The specification it carries along is not part of it."""
-    found = (
-        plan(specification(TALKER), talker="NewTalker")
-        if name == "talker"
-        else plan(specification(ROVER), "minimal", left="NewCamera")
-    )
+    match name:
+        case "talker":
+            found = plan(specification(TALKER), talker="NewTalker")
+        case "rover":
+            found = plan(specification(ROVER), "minimal", left="NewCamera")
+        case _:
+            found = plan(specification(MAPPING), "minimal", map_server="QuickServer")
     text = dump_plan(found, name).text.partition("/* ==== the specification")[0]
     golden = GOLDEN / f"{name}.als"
     if os.environ.get("MIDSTRIDE_GOLDEN") == "write":

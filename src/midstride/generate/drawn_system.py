@@ -147,7 +147,7 @@ class _Builder:
                 inside[boxes.pop()] = inside.get(attached[0][0], 0) + 1
                 continue
             note = self._note(connector.guarantee)
-            if self.annotate and connector.max_publishers is not None:
+            if self.annotate and connector.kind == "topic" and connector.max_publishers is not None:
                 note += f", at most {connector.max_publishers} publisher{'' if connector.max_publishers == 1 else 's'}"
             self.view.topics.append(TopicNode(f"topic {name}", name, note))
             for box, port_name, is_output in attached:

@@ -491,7 +491,7 @@ class Connector:
     def __post_init__(self) -> None:
         if not self.topic:
             object.__setattr__(self, "topic", self.name)
-        if self.kind != "topic" and self.max_publishers is None:
+        if self.kind != "topic":  # whatever is stated
             object.__setattr__(self, "max_publishers", 1)
 
     @property

@@ -22,6 +22,7 @@ from midstride.model.component import (
 )
 from midstride.model.contract import format_number
 from midstride.model.specification import Node, Specification
+from midstride.model.wording import KIND_WORDS
 
 DifferenceKind = Literal["added", "removed", "changed", "renamed", "replaced", "rewired", "set"]
 
@@ -46,7 +47,7 @@ def differences(old: Specification, new: Specification, renewed: Mapping[str, st
     """
     was, will = ({offer.name: offer for offer in specification.environment} for specification in (old, new))
     return [
-        *_compared("topic", old.connectors, new.connectors, lambda topic: (str(topic.guarantee),), _topic),
+        *_connectors(old.connectors, new.connectors),
         *_compared(
             "resource",
             old.resources,
@@ -79,10 +80,18 @@ def _compared(
             yield Difference(subject, "changed", found)
 
 
-def _topic(before: Connector, after: Connector) -> Iterator[str]:
+def _connectors(old: Mapping[str, Connector], new: Mapping[str, Connector]) -> Iterator[Difference]:
+    """Topics, then services, then ROS actions; one that becomes another kind is removed and added."""
+    for kind, words in KIND_WORDS.items():
+        was, will = ({name: each for name, each in some.items() if each.kind == kind} for some in (old, new))
+        yield from _compared(words.connector, was, will, lambda connector: (str(connector.guarantee),), _connector)
+
+
+def _connector(before: Connector, after: Connector) -> Iterator[str]:
     if not before.same_contract(after):
         yield _became("contract", before.guarantee, after.guarantee)
-        yield "a new contract makes a new topic: its ports are detached and attached again"
+        connector = KIND_WORDS[after.kind].connector
+        yield f"a new contract makes a new {connector}: its ports are detached and attached again"
     if before.max_publishers != after.max_publishers:
         allowed = [
             "any number" if cap is None else f"at most {cap}" for cap in (before.max_publishers, after.max_publishers)

@@ -143,7 +143,8 @@ class AlloyAtoms:
         if known is not None:
             return known
         rate = "" if contract.rate is None else f"_{contract.rate:g}Hz"
-        name = self.atom("Predicate", f"{contract.type.rpartition('/')[2]}{rate}", contract)
+        bound = "" if contract.within is None else f"_within_{contract.within:g}s"
+        name = self.atom("Predicate", f"{contract.type.rpartition('/')[2]}{rate}{bound}", contract)
         self._predicates[contract] = name
         for other, atom in self._predicates.items():
             if satisfies(contract, other):

@@ -6,6 +6,7 @@ from midstride.model.component import Assumption, FunctionalityRef, InputAlterna
 from midstride.model.configuration import Configuration
 from midstride.model.contract import explain, satisfies
 from midstride.model.rules import Evaluator
+from midstride.model.wording import KIND_WORDS
 from midstride.verify.verdict import CauseLink
 
 
@@ -56,5 +57,5 @@ def _topic(evaluator: Evaluator, name: str, port: PortRef) -> CauseLink:
         publishers.append(CauseLink("environment", offer.name, str(offer.guarantee), satisfied))
     detail = f"{connector.guarantee}" + (f": {', '.join(clauses)}" if clauses else "")
     if not publishers:
-        detail += ": no publisher"
+        detail += f": no {KIND_WORDS[connector.kind].provider}"
     return CauseLink("topic", name, detail, not clauses and evaluator.connector_satisfied(name), tuple(publishers))

@@ -18,6 +18,7 @@ from midstride.model.component import (
 )
 from midstride.model.configuration import Configuration, Instance, SystemContext, to_fraction
 from midstride.model.contract import Predicate
+from midstride.model.wording import KIND_WORDS
 from midstride.verify.alloy_atoms import AlloyAtoms, ModeName, SystemName, TooLarge
 
 # The sets of components that exceed a resource are enumerated.
@@ -59,13 +60,15 @@ class WorldEncoder:
     def _environment(self) -> None:
         atoms = self.atoms
         for name, connector in sorted(self.context.connectors.items()):
-            atom = atoms.atom("Connector", f"{self.prefix}topic_{name}", name, f"{name} : {connector.guarantee}")
+            base, comment = f"{self.prefix}{connector.kind}_{name}", f"{name} : {connector.guarantee}"
+            atom = atoms.atom("Connector", base, name, comment)
             self.connectors[name] = atom
             atoms.add("conn_guar", atom, atoms.predicate(connector.guarantee))
             if connector.max_publishers is not None:
                 atoms.capped.append(atom)
+                provider = KIND_WORDS[connector.kind].provider
                 for number in range(1, connector.max_publishers + 1):
-                    comment = f"publisher {number} of at most {connector.max_publishers} on {name}"
+                    comment = f"{provider} {number} of at most {connector.max_publishers} on {name}"
                     atoms.add("slots", atom, atoms.atom("Slot", f"{atom}_slot{number}", comment))
         self.offers: list[str] = []
         self.publishers: list[str] = []

@@ -17,6 +17,7 @@ from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
 from midstride.model.contract import format_number
 from midstride.model.specification import Constraint, Order, roles_of
+from midstride.model.wording import KIND_WORDS
 from midstride.plan.change import Change
 from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal
 from midstride.plan.core.conflict_core import full_topics, scarce_resources
@@ -136,8 +137,10 @@ def _no_slots(change: Change, topics: Sequence[str]) -> Iterator[str]:
         connector, old = change.start.context.connectors[name], (name, change.sibling(name))
         leave = " and ".join(str(port) for port, on in change.detached if on in old and change.is_output(port))
         come = " and ".join(str(port) for port, on in change.attached if on == name and change.is_output(port))
-        cap = f"{connector.topic} has a cap of {connector.max_publishers}"
-        yield f"{come} and {leave} do not fit at the same time: {cap}"
+        cap = f"has a cap of {connector.max_publishers}"
+        if connector.kind != "topic":
+            cap = f"has at most one {KIND_WORDS[connector.kind].provider}"
+        yield f"{come} and {leave} do not fit at the same time: {connector.topic} {cap}"
 
 
 def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Constraint]) -> list[Constraint]:

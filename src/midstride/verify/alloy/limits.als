@@ -1,8 +1,9 @@
 /*
  * Publisher caps and resources (docs/semantics.md, sections 2 and 4).
  *
- * A capped topic has one slot for each publisher that it allows. For a resource, all that matters is which components
- * together exceed it. An `Overload` is a smallest such set; every superset exceeds the resource as well.
+ * A capped topic has one slot for each publisher that it allows; a service or ROS action has one, for its server. For a
+ * resource, all that matters is which components together exceed it. An `Overload` is a smallest such set; every
+ * superset exceeds the resource as well.
  */
 module limits
 open system

@@ -1,9 +1,10 @@
 """The model as a first-order theory: declarations, configurations, satisfaction, validity.
 
 See docs/semantics.md, sections 1 to 3. Contracts are elements with a satisfaction relation that obeys section 1 and is
-otherwise arbitrary. The publishers of a topic and the held amount of a resource are numbers, with three laws of finite
-sets: a part is no larger than the whole (:meth:`Theory.state`, for publishers and amounts), and one-to-one replacement
-keeps the number (``actions.handover``). Bounded scripts count instead.
+otherwise arbitrary, so rates, fields and bounds are all the same here. Services and ROS actions are topics with a cap
+of 1, their servers outputs and their clients inputs. The publishers of a topic and the held amount of a resource are
+numbers, with three laws of finite sets: a part is no larger than the whole (:meth:`Theory.state`, for publishers and
+amounts), and one-to-one replacement keeps the number (``actions.handover``). Bounded scripts count instead.
 """
 
 from __future__ import annotations
