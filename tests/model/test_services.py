@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 
 import pytest
 
@@ -14,8 +16,10 @@ from midstride.lang.load import load_text
 from midstride.model.component import Connector
 from midstride.model.contract import Predicate, explain, satisfies
 from midstride.model.rules import Evaluator
-from midstride.model.specification import Specification, initial
+from midstride.model.specification import Constraint, Order, Specification, initial
 from midstride.plan.change_builder import change_between, requested_change
+from midstride.plan.constraints import breaches
+from midstride.plan.disruption import Levels
 from midstride.plan.impact import impacts
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
@@ -24,6 +28,7 @@ from midstride.plan.strategies.registry import planner
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.simulation.stand_in import with_stand_ins
 from midstride.verify.alloy_atoms import AlloyAtoms
+from tests.replay.plan_replay import replay
 
 MAP = "nav_msgs/srv/GetMap"
 TEXT = """system mapping
@@ -55,6 +60,10 @@ node map_server : Server { map -> /map }
 node docking : Docking { map <- /map  dock -> /dock }
 node mission : Mission { dock <- /dock }
 """
+
+
+def with_constraint(specification: Specification, constraint: Constraint) -> Specification:
+    return replace(specification, constraints=(*specification.constraints, constraint))
 
 
 def restarted(specification: Specification, role: str) -> Plan:
@@ -146,6 +155,33 @@ limit map_server.serve below baseline 0 s
     target = load_text(TEXT.replace("map_server : Server", "map_server : NewServer") + new).require()
     with pytest.raises(PlanRefused, match="do not fit at the same time: /map has at most one server"):
         planner()(change_between(initial(start), start, target))
+
+
+@pytest.mark.parametrize(("first", "then"), [("spare", "map_server"), ("map_server", "spare")])
+def test_a_hand_over_between_two_roles_belongs_to_both_so_no_order_of_them_has_it(first: str, then: str) -> None:
+    """`/map` moves to another node: in one step, or given up first where that is the order asked for."""
+    in_place = re.sub("  run .*\n", "", TEXT)
+    start = load_text(in_place + "node spare : Server { }\n").require()
+    moved = in_place.replace("map_server : Server { map -> /map }", "map_server : Server { }")
+    target = load_text(moved + "node spare : Server { map -> /map }\n").require()
+    free = planner()(change_between(initial(start), start, target))
+    assert [(step.action.kind, step.roles) for step in free.steps if step.is_structural] == [
+        ("handover", ("map_server", "spare"))
+    ]
+    order = Order(first, then)
+    (breach,) = breaches(free.steps, Levels(free.change), [order])
+    assert str(breach).endswith(" belongs to both")
+    assert f"`{order}` is broken by step" in str(
+        replay(replace(free, change=replace(free.change, target=with_constraint(free.change.target, order))))
+    )
+    ordered = change_between(initial(start), start, with_constraint(target, order))
+    if first == "spare":
+        with pytest.raises(PlanRefused, match="do not fit at the same time: /map has at most one server"):
+            planner()(ordered)
+    else:
+        plan = planner()(ordered)
+        assert replay(plan).holds
+        assert "handover" not in {step.action.kind for step in plan.steps}
 
 
 def test_a_server_is_handed_over_as_an_output_is() -> None:

@@ -316,7 +316,7 @@ class Constrained(Exhaustive):
             return constraint.functionality not in self.losses(after)
         if isinstance(constraint, Order) and constraint.first != constraint.then:
             later = any(self.change.role_of(op.name) == constraint.then for op in after - before)
-            return not later or self.of_role.get(constraint.first, set()) <= after
+            return not later or self.of_role.get(constraint.first, set()) <= before
         return True
 
 

@@ -286,5 +286,6 @@ class Ledger:
             elif isinstance(constraint, Order):
                 last = [index for index, roles in enumerate(self.roles) if constraint.first in roles]
                 first = [index for index, roles in enumerate(self.roles) if constraint.then in roles]
-                if last and first and last[-1] > first[0]:
+                both = constraint.first != constraint.then and set(last) & set(first)
+                if last and first and (last[-1] > first[0] or both):
                     yield f"`{constraint}` is broken by step {last[-1] + 1}"

@@ -124,10 +124,13 @@ def _exceeds(limit: Limit, meter: DisruptionMeter) -> bool:
 
 
 def _out_of_order(order: Order, steps: Sequence[Step]) -> str | None:
+    """How the steps break an order; a hand-over from one of its roles to the other belongs to both at once."""
     begun: str | None = None
     for number, step in enumerate(steps, start=1):
         if not step.is_structural:
             continue
+        if order.first != order.then and {order.first, order.then} <= {*step.roles}:
+            return f"step {number} ({step.describe()}) belongs to both"
         if order.first in step.roles and begun is not None:
             return f"step {number} ({step.describe()}) comes after {begun}"
         if order.then in step.roles:
