@@ -376,6 +376,24 @@ def values_unknown(instance: str, words: str) -> Assessment:
     return Assessment(instance, "not_measurable", words)
 
 
+def silent_for_state(old: str, new: str, topics: Sequence[str], seconds: float) -> Assessment:
+    """A plan moves the state of a node without Midstride's API, which cannot be held at a slot."""
+    silent = f"nothing is published on {listed(topics)}, and " if topics else ""
+    words = f"while the state of {old} moves to {new}, {silent}requests to its services wait, for at most {seconds:g} s"
+    return Assessment(new, "lost", words, seconds=seconds, at_most=True)
+
+
+def state_left_behind(old: str, new: str) -> Assessment:
+    """A plan replaces a node that exports its state, and the state does not move."""
+    words = f"the state of {old} is lost: one of {old} and {new} uses Midstride's API, and the other one does not"
+    return Assessment(new, "lost", words)
+
+
+def was_silent_for_state(new: str, words: str, seconds: float) -> Assessment:
+    """The state of a node without Midstride's API has moved, and nothing was published for so many ``seconds``."""
+    return Assessment(new, "lost", words, seconds=seconds)
+
+
 def state_lost(instance: str, goes_on: str | None) -> Assessment:
     """An instance that keeps a state has ended without passing it on."""
     rest = "no other has it" if goes_on is None else f"{goes_on} has its own"

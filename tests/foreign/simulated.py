@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.control import SimulatedControl
+from midstride.foreign.foreign_state import EXPORT_STATE, IMPORT_STATE
+from midstride.foreign.graph_check import NamedServer, Served
 from midstride.foreign.lifecycle_transitions import ACTIVE, FINALIZED, INACTIVE, UNCONFIGURED
 from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
@@ -39,6 +41,8 @@ class SimulatedNode:
     ``refuses`` and ``hangs`` have transitions; ``rejects``: by parameter, why it cannot be set. ``ends_on``: the signal
     on which its process ends; on None of them, it has to be killed. ``slow``: how long a transition takes besides (s).
     ``lacks``: the parameters that it does not declare; ``forgets``: it has set what it was asked to, and hangs then.
+    ``kept``: its state, None where it offers none; ``no_export`` and ``no_import``: why it refuses, if so.
+    ``hangs`` may have `export` and `import`, too.
     """
 
     instance: str
@@ -53,6 +57,9 @@ class SimulatedNode:
     ends_on: str | None = "SIGINT"
     lacks: set[str] = field(default_factory=set)
     forgets: bool = False
+    kept: bytes | None = None
+    no_export: str | None = None
+    no_import: str | None = None
     closed: bool = False
 
     def close(self) -> None:
@@ -98,6 +105,30 @@ class SimulatedNode:
         self.events.append(f"{self.instance} set {' '.join(f'{name}={value}' for name, value in values.items())}")
         return None
 
+    async def export_state(self, timeout: float) -> bytes | str:
+        await self._unless_hung("export", timeout)
+        self.events.append(f"{self.instance} exported")
+        return self.no_export or self.kept or b""
+
+    async def import_state(self, state: bytes, timeout: float) -> str | None:
+        await self._unless_hung("import", timeout)
+        if self.no_import is None:
+            self.kept = state
+            self.events.append(f"{self.instance} imported {state.decode()}")
+        return self.no_import
+
+    async def _unless_hung(self, what: str, timeout: float) -> None:
+        if what in self.hangs:
+            await asyncio.sleep(timeout)
+            raise NoAnswer(f"{self.instance} has not answered within {timeout:g} s")
+        await self._answers(timeout)
+
+    def served(self) -> Served:
+        """What the graph shows of its services."""
+        offers = () if self.kept is None else (EXPORT_STATE, IMPORT_STATE)
+        names = (NamedServer("service", f"/{self.instance}/{name}", type_) for name, type_ in offers)
+        return Served(servers=frozenset(names))
+
 
 class _Process:
     """A process that is never frozen."""
@@ -140,7 +171,15 @@ class SimulatedRos(Simulator):
         self._foreign = self._agents()
 
     def _agents(self) -> ForeignNodes:
-        return ForeignNodes(self._folder, _Transport(self.control), lambda node: self.nodes.get(node.strip("/")))
+        def services(node: str) -> SimulatedNode | None:
+            return self.nodes.get(node.strip("/"))
+
+        def served(node: str, _: frozenset[str] | None) -> Served:
+            found = services(node)
+            return Served() if found is None else found.served()
+
+        shows = any("kept" in fields for fields in self._behaviour.values())
+        return ForeignNodes(self._folder, _Transport(self.control), services, served=served if shows else None)
 
     async def start(self, launch: Launch) -> Handle:
         if launch.foreign is None:

@@ -795,6 +795,8 @@ declare namespace Api {
     late: Record<string, number>;
     /** new components that continue without the state of the old one: what is lost, and why */
     own_state: Record<string, string>;
+    /** by new node without Midstride's API: the state that has moved to it */
+    moved: Record<string, StateMove>;
     because: string | null;
     /** what became of values that were set at run time */
     parameters: RuntimeValue[];
@@ -1299,6 +1301,16 @@ declare namespace Api {
   interface SpecificationVersion {
     version: number;
     specification: SpecificationForm;
+  }
+
+  /** The state of a node without Midstride's API has moved to its replacement, and what waited for it. */
+  interface StateMove {
+    bytes: number;
+    /** seconds from the last message of the old node to the first of the new one; null: none */
+    silent: number | null;
+    /** seconds for which requests to its services were held */
+    held: number;
+    words: string;
   }
 
   /** A step that was begun; without an outcome, its end is not recorded. */

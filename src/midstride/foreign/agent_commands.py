@@ -8,6 +8,7 @@ from typing import Any
 
 from midstride.errors import CommandRefused
 from midstride.foreign.foreign_parameters import ForeignParameters
+from midstride.foreign.foreign_state import ForeignState, StatePeers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.ungated_outputs import UngatedOutputs
@@ -18,7 +19,10 @@ from midstride.wire.state import WireValue
 
 
 class ForeignCommands:
-    """The commands of ``node``. ``parameters`` and ``lifecycle``: where it has any. ``report`` reports its state."""
+    """The commands of ``node``. ``parameters``, ``lifecycle`` and ``state``: where it has any.
+
+    ``peers``: what is known of the state of others; ``report`` reports the node's.
+    """
 
     def __init__(
         self,
@@ -26,10 +30,13 @@ class ForeignCommands:
         outputs: UngatedOutputs,
         parameters: ForeignParameters | None,
         lifecycle: LifecycleNode | None,
+        state: ForeignState | None,
+        peers: StatePeers,
         report: Callable[[], None],
     ) -> None:
         self._node, self._outputs = node, outputs
         self._parameters, self._lifecycle = parameters, lifecycle
+        self._state, self._peers = state, peers
         self._report = report
 
     async def carry_out(self, command: Command[Any]) -> WireValue:
@@ -56,13 +63,18 @@ class ForeignCommands:
                 return await self._parameters.set(command)
             case commands.AnswerCommand():
                 return replies.Answers()
-            case commands.PingCommand() | commands.MeetCommand() | commands.HoldCommand():
-                pass  # to hold: its code makes its calls at any time, and its modes change without them
+            case commands.PingCommand() | commands.MeetCommand() | commands.HoldCommand() | commands.MuteCommand():
+                pass  # its code makes its calls at any time, and its modes change without them
             case commands.ProgramCommand():
                 return Program(files=[], started=self._node.record.started)
-            case commands.ExportStateCommand():
-                return replies.ExportedState(state=None)
-            case commands.PrepareStateCommand() | commands.OfferStateCommand():
+            case commands.ExportStateCommand(timeout=timeout):
+                own = self._peers.exporting(self._node.record.instance)
+                return replies.ExportedState(state=None) if own is None else await own.exported(timeout)
+            case commands.ImportStateCommand(state=state, timeout=timeout) if self._state is not None:
+                await self._state.import_(state, timeout)
+            case commands.PrepareStateCommand(peer=peer):
+                return await self._prepare_state(peer)
+            case commands.OfferStateCommand():  # to a component, which would fetch it
                 return replies.StateOffer(exports="nothing")
             case commands.YieldCommand():
                 return replies.Yielded(handled=[])
@@ -73,6 +85,13 @@ class ForeignCommands:
                     f"{self._node.record.instance} does not use Midstride's API, and `{command.name}` needs it"
                 )
         return replies.Done()
+
+    async def _prepare_state(self, peer: str) -> replies.StateOffer:
+        """What moves to the node from that of ``peer``. Raises CommandRefused where it cannot import it."""
+        if self._state is None or self._peers.exporting(peer) is None:
+            return replies.StateOffer(exports="nothing")
+        await self._state.require_import()
+        return replies.StateOffer(exports="whole")
 
     def _is_service(self, port: str) -> bool:
         return port in self._node.record.topics and self._node.component.is_service(port)

@@ -804,10 +804,15 @@ static void keep(struct entry *entry, const void *message, const serialized *byt
   pthread_mutex_unlock(&lock);
 }
 
-/* Publish what is kept, in its order, if it may be published now. With `lock`. */
+/* Publish what is kept, in its order, if it may be published now; or forget it, where nothing is to be kept any more. With
+ * `lock`. */
 static void publish_kept(struct entry *entry)
 {
   struct pass pass;
+  if (entry->kept && !(atomic_load_explicit(&entry->port->flags, memory_order_relaxed) & KEEPS)) {
+    discard(entry, 0);
+    atomic_store(&entry->port->kept, 0);
+  }
   if (!entry->kept || !enter(page, entry->me, descriptor, entry->port, &entry->overdue, &pass))
     return;
   const void *publisher = atomic_load(&entry->endpoint);
@@ -865,6 +870,9 @@ static bool has_service(unsigned other, const struct entry *entry)
 static bool answers(struct requests *requests, const struct entry *entry)
 {
   unsigned me = entry->me;
+  int64_t paused = atomic_load(&requests->paused);
+  if (paused && now_ns() < paused)
+    return false;
   uint64_t word = atomic_load(&requests->word), next;
   do {
     unsigned before = BEFORE(word);

@@ -17,6 +17,7 @@ from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.agent_commands import ForeignCommands
 from midstride.foreign.declared_servers import DeclaredServers
 from midstride.foreign.foreign_parameters import ForeignParameters
+from midstride.foreign.foreign_state import EXPORT_STATE, ForeignState, StatePeers
 from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
@@ -72,13 +73,15 @@ class ForeignAgent:
         before: Sequence[GraphEndpoint] = (),
         predecessor: NodeServices | None = None,
         managers: LifecycleManagers | None = None,
+        states: StatePeers | None = None,
     ) -> None:
-        """``served``: what the node serves; ``managers``: what is known of lifecycle managers.
+        """``served``: what the node serves; ``managers``: what is known of lifecycle managers; ``states``: of state.
 
         Of the one that it replaces, ``before`` has the endpoints, and ``predecessor`` what it can be asked.
         """
         self.node = ForeignNode(record, folder, gates, others or ReportedStates())
-        outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates)
+        self._states = states or StatePeers()
+        outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates, self._states)
         self._services = services
         self.lifecycle: LifecycleNode | None = None
         self._parameters: ForeignParameters | None = None
@@ -87,7 +90,10 @@ class ForeignAgent:
         if services is not None and self.node.component.has_lifecycle:
             self.lifecycle = LifecycleNode(self.node, services)
             if gates is None:
-                outputs = LifecycleOutputs(self.lifecycle, peers or LifecyclePeers())
+                outputs = LifecycleOutputs(self.lifecycle, peers or LifecyclePeers(), self._states)
+        self._state: ForeignState | None = None
+        if services is not None and served is not None:
+            self._state = self._states.nodes[record.instance] = ForeignState(self.node, services, served)
         self._graph = graph
         self.node.looked = graph is None
         self._served = served
@@ -114,7 +120,9 @@ class ForeignAgent:
         )
         self._server = CommandServer(greeting, self._serve)
         self._outputs = outputs
-        self._commands = ForeignCommands(self.node, outputs, self._parameters, self.lifecycle, self._report)
+        self._commands = ForeignCommands(
+            self.node, outputs, self._parameters, self.lifecycle, self._state, self._states, self._report
+        )
 
     async def finish(self) -> None:
         """Before its process is ended. Raises CommandRefused where a lifecycle node has not made its transitions."""
@@ -155,6 +163,8 @@ class ForeignAgent:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         if self._managers is not None:
             self._managers.starting.pop(self.node.record.instance, None)
+        if self._states.nodes.get(self.node.record.instance) is self._state:
+            self._states.nodes.pop(self.node.record.instance, None)
         await self._server.close(0.0)
         for services in (self._services, self._predecessor):
             if services is not None:
@@ -327,9 +337,15 @@ class ForeignAgent:
             self.node.looked or bool(found) or never,
         )
         node = self.node
-        if seen != (node.differences, node.undeclared, node.serves, node.calls, node.looked):
+        keeps_state = self._state is not None and self._state.offers(EXPORT_STATE, served)
+        if (*seen, keeps_state) != (*self._seen(), node.keeps_state):
             node.differences, node.undeclared, node.serves, node.calls, node.looked = seen
+            node.keeps_state = keeps_state
             self._report()
+
+    def _seen(self) -> tuple[object, ...]:
+        node = self.node
+        return node.differences, node.undeclared, node.serves, node.calls, node.looked
 
     def _undeclared(self, found: Sequence[GraphEndpoint]) -> list[UndeclaredTopic]:
         """The topics of the node that are no ports, of what the graph shows of it."""

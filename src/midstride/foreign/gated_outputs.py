@@ -15,6 +15,8 @@ from typing import Final
 from msgspec import structs
 
 from midstride.errors import CommandRefused
+from midstride.foreign.foreign_state import StatePeers
+from midstride.foreign.gated_state import LOOK, PUBLISHING, MovingSides, longest_wait
 from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
 from midstride.foreign.page import OPEN, OUTPUT, GoalState
@@ -25,10 +27,6 @@ from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
 from midstride.wire import commands, replies
 
-# How long the helper thread of a node may take to look, once it is asked to (s).
-LOOK: Final = 0.3
-# How long a call that is publishing may take to return (s).
-PUBLISHING: Final = 0.3
 # An output with a rate hangs if it has been silent for so many periods, and at least so long (s).
 HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
@@ -46,7 +44,10 @@ LINGER: Final = 0.5
 
 @dataclass
 class _Cut:
-    """One cut, of the old side or the new one. ``before``: by port, how many messages had passed."""
+    """One cut, of the old side or the new one. ``before``: by port, how many messages had passed.
+
+    Where state moves, ``state`` says how; without swaps, ``baton`` is 0.
+    """
 
     swaps: list[commands.CutSwap]
     baton: int
@@ -54,14 +55,16 @@ class _Cut:
     other: int | None = None  # the index of the old side; None on that side
     own: dict[str, int] = field(default_factory=dict)  # by port, its baton before
     quiet: bool = False  # the new side takes over without a message too
+    state: commands.StateTransfer | None = None
 
 
 class GatedOutputs(UngatedOutputs):
     """The outputs of ``node``, each behind one of ``gates``."""
 
-    def __init__(self, node: ForeignNode, gates: Gates) -> None:
+    def __init__(self, node: ForeignNode, gates: Gates, states: StatePeers) -> None:
         super().__init__(node)
         self._gates = gates
+        self._states = states
         self._cuts: dict[str, _Cut] = {}
         self._shared_slots: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
@@ -192,20 +195,20 @@ class GatedOutputs(UngatedOutputs):
         page, index, gates = self._gates.page, self._gates.index, self._gates
         if not gates.writes_unstated:
             writer = page.word(gates.unstated).holder - 1
-            await self._peers_known(writer, command, lambda: gates.has_readers_of(writer))
+            await self._peers_known(writer, command.address, lambda: gates.has_readers_of(writer))
             # A call that is publishing, and does not end, is of a stopped process: this one takes over after it.
             await self._node.comes_true(gates.take_unstated, PUBLISHING)
         if (other := page.answering(index)) is None:
             return replies.Answers()
-        await self._peers_known(other, command, lambda: gates.has_clients_of(other))
+        await self._peers_known(other, command.address, lambda: gates.has_clients_of(other))
         gates.answer(command.drain)
         await self._node.comes_true(lambda: gates.begun, command.drain)
         return replies.Answers(outlasting=0 if page.is_dead(other) else int(page.layout.nodes[other].unanswered))
 
-    async def _peers_known(self, other: int, command: commands.AnswerCommand, known: Callable[[], bool]) -> None:
-        """Wait until this node is matched with the peers of the node ``other``, where that lives."""
+    async def _peers_known(self, other: int, address: str | None, known: Callable[[], bool]) -> None:
+        """Wait until this node is matched with the peers of the node ``other`` at ``address``, where that lives."""
         page, index = self._gates.page, self._gates.index
-        if command.address is None or page.is_dead(other):
+        if address is None or page.is_dead(other):
             return
         looked = page.beat(index), page.beat(other)
         page.ring(index)
@@ -267,12 +270,12 @@ class GatedOutputs(UngatedOutputs):
 
     async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         """The old side: from now on, one baton decides for the outputs of the cut."""
-        gates, ports = self._gates, [swap.port for swap in command.swaps]
-        if not ports or command.state is not None:
-            raise CommandRefused(f"{self._node.record.instance} does not use Midstride's API: it has no state to move")
+        gates, ports, state = self._gates, [swap.port for swap in command.swaps], command.state
         own = {port: gates.baton(port) for port in gates.component.outputs}
-        baton = gates.share(ports)
-        self._cuts[command.cut] = _Cut(command.swaps, baton, {}, own=own)
+        baton = gates.share(ports) if ports else 0
+        if ports and state is not None:
+            gates.hold_back(ports, baton, longest_wait(state))
+        self._cuts[command.cut] = _Cut(command.swaps, baton, {}, own=own, state=state)
         return replies.Done()
 
     async def share_slot(self, command: commands.ShareSlotCommand) -> replies.SharedSlotPlace:
@@ -302,11 +305,9 @@ class GatedOutputs(UngatedOutputs):
         old = self._shared_slots.get(command.cut, gates.page.index_of(command.peer))
         if old is None:
             raise CommandRefused(f"{command.peer} has no gate of the kind that {self._node.record.instance} has")
-        topics = {swap.topic for swap in command.swaps}
-        holders = {int(entry.baton) for entry in gates.page.ports(old) if entry.topic.decode() in topics} - {0}
-        if len(holders) != 1:
-            raise CommandRefused(f"{command.peer} is not ready to hand over")
-        baton = holders.pop()
+        if command.state is not None:
+            return await self._import_in(command, command.state, old)
+        baton = self._baton_of(command, old)
         own = {port: gates.baton(port) for port in gates.component.outputs}
         before = {port: int(gates.entry(port).passed) for port in ports}
         gates.share(ports, baton)
@@ -322,11 +323,47 @@ class GatedOutputs(UngatedOutputs):
             raise CommandRefused(f"{command.peer} does not hold the baton of its outputs")
         return replies.Done()
 
+    async def _import_in(
+        self, command: commands.CutInCommand, transfer: commands.StateTransfer, other: int
+    ) -> replies.Done:
+        """The new side: take over from the node ``other`` (index) with its state, in the background."""
+        gates, states, swaps = self._gates, self._states, command.swaps
+        old, new = states.nodes.get(command.peer), states.nodes.get(self._node.record.instance)
+        if old is None or new is None or old.node.gates is None:
+            raise CommandRefused(f"{command.peer} has no state of the kind that {self._node.record.instance} imports")
+        ports = [swap.port for swap in swaps]
+        baton = self._baton_of(command, other) if swaps else 0
+        own = {port: gates.baton(port) for port in gates.component.outputs}
+        if swaps:
+            gates.share(ports, baton)
+            gates.wait_for_manager(ports, keeping=True)
+            old.node.gates.hold_back([], baton, longest_wait(transfer))
+        before = {port: int(gates.entry(port).passed) for port in ports}
+        self._cuts[command.cut] = _Cut(swaps, baton, before, other, own, command.quiet, transfer)
+        await self._peers_known(other, command.address, lambda: gates.has_clients_of(other))
+        theirs = {topic: port for port, topic in old.node.record.topics.items() if old.node.component.has_output(port)}
+        of_old = {swap.port: theirs[swap.topic] for swap in swaps}
+        sides = MovingSides(self._node, gates, other, old, new, baton, of_old, command.quiet)
+        moving = states.transfers[command.cut] = asyncio.get_running_loop().create_task(sides.move(transfer))
+        moving.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved
+        return replies.Done()
+
+    def _baton_of(self, command: commands.CutInCommand, old: int) -> int:
+        """The baton of the outputs of the node ``old`` (index) that are handed over. Raises CommandRefused."""
+        gates = self._gates
+        topics = {swap.topic for swap in command.swaps}
+        holders = {int(entry.baton) for entry in gates.page.ports(old) if entry.topic.decode() in topics} - {0}
+        if len(holders) != 1:
+            raise CommandRefused(f"{command.peer} is not ready to hand over")
+        return holders.pop()
+
     async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
         """Both sides: until the new one has written, or that is withdrawn, or the old one is fenced."""
         cut, gates = self._cuts.get(command.cut), self._gates
         if cut is None:
             raise CommandRefused(f"there is no cut {command.cut}")
+        if cut.state is not None:
+            return await self._await_state(cut, command)
         new = cut.other is not None
         old = cut.other + 1 if cut.other is not None else gates.index + 1
         ports = [swap.port for swap in cut.swaps]
@@ -352,6 +389,20 @@ class GatedOutputs(UngatedOutputs):
             return replies.CutResult(outcome="done", first=writes)
         return replies.CutResult(outcome="done", last=writes)
 
+    async def _await_state(self, cut: _Cut, command: commands.AwaitCutCommand) -> replies.CutResult:
+        """Both sides, where state moves: until the new one has taken over with it, or has failed to."""
+        moving = self._states.transfers.get(command.cut)
+        if moving is not None:
+            await asyncio.wait({moving}, timeout=command.timeout)
+        if moving is None or not moving.done() or moving.cancelled():
+            return replies.CutResult(outcome="waiting", because="the state has not moved in time")
+        if (error := moving.exception()) is not None:
+            return replies.CutResult(outcome="waiting", because=str(error))
+        writes = {f"{swap.port} {swap.topic}": self._last_write(swap.port, cut) for swap in cut.swaps}
+        if cut.other is not None:
+            return replies.CutResult(outcome="done", first=writes, moved=moving.result())
+        return replies.CutResult(outcome="done", last=writes)
+
     def _takes(self, cut: _Cut) -> bool:
         """Take the baton without a message, if it is offered; whether this side has it."""
         self._gates.step(cut.baton, BatonStep.TAKE)
@@ -366,17 +417,31 @@ class GatedOutputs(UngatedOutputs):
     async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         """Either side: the old one keeps the baton, or gets it back."""
         cut = self._cuts.pop(command.cut, None)
-        if cut is not None and cut.other is not None:
+        if cut is None:
+            return replies.Done()
+        if cut.state is not None:
+            await self._end_transfer(command.cut, cut)
+        if cut.other is not None:
             await self._withdraw(cut)
-        elif cut is not None:
+        elif cut.baton:
             self._gates.step(cut.baton, BatonStep.WITHDRAW)
             self._restore(cut)
         return replies.Done()
+
+    async def _end_transfer(self, id: str, cut: _Cut) -> None:
+        """Either side: no state moves any more. The old one answers requests again."""
+        if (moving := self._states.transfers.pop(id, None)) is not None:
+            moving.cancel()
+            await asyncio.wait({moving})
+        if cut.other is None and not self._gates.answers:
+            self._gates.answer(self._node.component.stop_times.drain)
 
     async def _withdraw(self, cut: _Cut) -> None:
         """The new side: close its gates, and give the baton back to the old side."""
         gates = self._gates
         assert cut.other is not None
+        if not cut.baton:
+            return
         self._node.set_links({swap.port: "closed" for swap in cut.swaps})
         gates.page.step(cut.baton, BatonStep.WITHDRAW, cut.other)
         if gates.page.word(cut.baton).holder == gates.index + 1:

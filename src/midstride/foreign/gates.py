@@ -154,6 +154,27 @@ class Gates:
         self.page.step(baton, BatonStep.NAME_SUCCESSOR, word.holder - 1, self.index, at_once=True)
         return self.step(baton, BatonStep.TAKE).holder == self.index + 1
 
+    # -- state that moves ------------------------------------------------------------------------------
+
+    def hold_back(self, ports: Iterable[str], baton: int, longest: float) -> None:
+        """Have this node leave ``baton``, once it offers it, for ``longest`` (s), also where no successor takes it.
+
+        It publishes nothing on ``ports`` meanwhile.
+        """
+        self.page.layout.batons[baton - 1].patience = int(longest * 1e9)
+        for port in ports:
+            kept = PortFlag(0) if self.rate(port) else PortFlag.KEEPS
+            self.entry(port).flags = PortFlag.TIMED | PortFlag.OFFERS | kept
+
+    def wait_for_manager(self, ports: Iterable[str], *, keeping: bool) -> None:
+        """Have this node, a successor, take the baton of ``ports`` only as the manager does it for the node.
+
+        ``keeping``: of what it writes meanwhile without a rate, the last is kept; else it forgets what it has kept.
+        """
+        for port in ports:
+            self.entry(port).flags = PortFlag.KEEPS if keeping and not self.rate(port) else PortFlag(0)
+        self.page.ring(self.index)
+
     # -- requests to its services ----------------------------------------------------------------------
 
     @property
@@ -198,6 +219,16 @@ class Gates:
         age = (time.monotonic_ns() - node.answered) / 1e9
         waiting = any(port.gated for port in self.page.servers(self.index).values())
         return not node.unanswered and not waiting and age >= linger
+
+    def pause(self, longest: float) -> None:
+        """Have no instance of the role take a request until :meth:`resume`, for ``longest`` (s) at most."""
+        self.page.pause_requests(self.index, longest)
+
+    def resume(self, other: int) -> None:
+        """Have the instance that answers, this or the ``other`` one (index), take what was held meanwhile."""
+        self.page.resume_requests(self.index)
+        for index in (self.index, other):
+            self.page.ring(index)
 
     # -- goals of its ROS actions ----------------------------------------------------------------------
 

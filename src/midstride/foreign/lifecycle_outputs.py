@@ -11,6 +11,7 @@ import time
 from dataclasses import dataclass, field
 
 from midstride.errors import CommandRefused
+from midstride.foreign.foreign_state import StatePeers, moved
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import WATCH
 from midstride.foreign.services import NoAnswer
@@ -18,21 +19,30 @@ from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.wire import commands, replies
 
 
+@dataclass(frozen=True)
+class LifecycleExchange:
+    """The topics were ``silent`` for so long (s); ``state``: of how many bytes was the state that has moved, if any."""
+
+    silent: float
+    state: int | None
+
+
 @dataclass
 class LifecyclePeers:
-    """The lifecycle nodes of a system, and the hand-overs between them, by cut: how long the topics were silent (s)."""
+    """The lifecycle nodes of a system, and the hand-overs between them, by cut."""
 
     nodes: dict[str, LifecycleNode] = field(default_factory=dict)
-    exchanges: dict[str, asyncio.Task[float]] = field(default_factory=dict)
+    exchanges: dict[str, asyncio.Task[LifecycleExchange]] = field(default_factory=dict)
 
 
 class LifecycleOutputs(UngatedOutputs):
     """The outputs of the lifecycle node ``own``: open while it is active."""
 
-    def __init__(self, own: LifecycleNode, peers: LifecyclePeers) -> None:
+    def __init__(self, own: LifecycleNode, peers: LifecyclePeers, states: StatePeers) -> None:
         super().__init__(own.node)
         self._own = own
         self._peers = peers
+        self._states = states
         self._cuts: dict[str, tuple[str | None, list[str]]] = {}  # the old side, None on that side, and the ports
         peers.nodes[own.node.record.instance] = own
 
@@ -79,18 +89,25 @@ class LifecycleOutputs(UngatedOutputs):
         theirs = [port for port, topic in old.node.record.topics.items() if topic in topics]
         ours = [swap.port for swap in command.swaps]
         self._cuts[command.cut] = command.peer, ours
-        exchange = asyncio.get_running_loop().create_task(self._exchange(old, theirs, ours))
+        exchange = asyncio.get_running_loop().create_task(self._exchange(old, theirs, ours, command.state))
         self._peers.exchanges[command.cut] = exchange
         exchange.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved
         return replies.Done()
 
-    async def _exchange(self, old: LifecycleNode, theirs: list[str], ours: list[str]) -> float:
+    async def _exchange(
+        self, old: LifecycleNode, theirs: list[str], ours: list[str], transfer: commands.StateTransfer | None
+    ) -> LifecycleExchange:
         begun = asyncio.get_running_loop().time()
         await old.set_links(dict.fromkeys(theirs, "closed"))
+        state = None
+        if transfer is not None:
+            states = self._states.nodes
+            own, other = self._node.record.instance, old.node.record.instance
+            state = await moved(states[other], states[own], transfer.timeout)
         await self._own.set_links(dict.fromkeys(ours, "open"))
         silent = asyncio.get_running_loop().time() - begun
         self._own.handed_over(silent)
-        return silent
+        return LifecycleExchange(silent, state)
 
     async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
         """Both sides: until the new one is active, or one of them has failed to make its transition."""
@@ -101,8 +118,10 @@ class LifecycleOutputs(UngatedOutputs):
             return replies.CutResult(outcome="waiting", because="the transitions have not ended in time")
         if (error := exchange.exception()) is not None:
             return replies.CutResult(outcome="waiting", because=str(error))
-        words = f"{exchange.result():.3f} s for the transitions of both lifecycle nodes, in which neither was active"
-        return replies.CutResult(outcome="done", because=words)
+        silent, state = exchange.result().silent, exchange.result().state
+        words = f"{silent:.3f} s for the transitions of both lifecycle nodes, in which neither was active"
+        moved_state = None if state is None else replies.MovedState(bytes=state, silent=silent, held=0.0)
+        return replies.CutResult(outcome="done", because=words, moved=moved_state)
 
     async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         """Either side: the new one becomes inactive again, and the old one active.

@@ -59,6 +59,7 @@ class ForeignNode:
         self.starting: list[str] = []  # the instances of which it is not known yet whether they manage it
         self.calls: list[str] = []  # the services and ROS actions that it is a client of
         self.keeps_name: Callable[[], bool] = lambda: False  # a successor with such a gate gets its name
+        self.keeps_state = False  # it offers the service that exports its state
         self.looked = True  # these are known, or nothing can know them
         # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
         self.inactive: Callable[[], float] | None = None
@@ -171,6 +172,7 @@ class ForeignNode:
             starting=self.starting,
             calls=self.calls,
             looked=self.looked,
+            keeps_state=self.keeps_state,
             unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,
             node=record.node,
             keeps_name=self.keeps_name(),

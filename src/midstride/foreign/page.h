@@ -18,7 +18,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 7 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 8 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -138,8 +138,9 @@ struct added {
 struct requests {
   _Atomic uint64_t word;   /* which node answers */
   _Atomic int64_t until;   /* how long the one before has for what it has taken: CLOCK_MONOTONIC, ns */
+  _Atomic int64_t paused;  /* until when no node takes any, since state moves from one to the other; 0: not paused */
   _Atomic uint32_t shared; /* whether two nodes have them */
-  uint32_t spare[11];
+  uint32_t spare[9];
   struct client clients[CLIENTS];
   struct goal goals[GOALS];
   struct added added[ADDED];

@@ -18,7 +18,7 @@ from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 7
+VERSION: Final = 8
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -170,8 +170,9 @@ class PageRequests(ctypes.Structure):
     _fields_ = [
         ("word", c_uint64),
         ("until", c_int64),
+        ("paused", c_int64),
         ("shared", c_uint32),
-        ("spare", c_uint32 * 11),
+        ("spare", c_uint32 * 9),
         ("clients", PageClient * CLIENTS),
         ("goals", PageGoal * GOALS),
         ("added", PageAdded * ADDED),
@@ -388,6 +389,16 @@ class Page:
         """The node ``index`` is to answer from now on; the one before has ``patience`` (s) for what it has taken."""
         until = time.monotonic_ns() + int(patience * 1e9)
         self._step_requests(self.layout.nodes[index].requests, RequestsStep.GIVE, index, until)
+
+    def pause_requests(self, index: int, longest: float) -> None:
+        """No node of the role of the node ``index`` takes a request until they go on, for ``longest`` (s) at most."""
+        if number := self.layout.nodes[index].requests:
+            self._requests[number - 1].paused = time.monotonic_ns() + int(longest * 1e9)
+
+    def resume_requests(self, index: int) -> None:
+        """The node that answers the requests to the role of the node ``index`` goes on with those that were held."""
+        if number := self.layout.nodes[index].requests:
+            self._requests[number - 1].paused = 0
 
     def answering(self, index: int) -> int | None:
         """The index of the node that answers the requests to the role of the node ``index``; None where it does."""

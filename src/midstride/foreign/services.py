@@ -26,7 +26,17 @@ class ParameterAccess(ParameterSetter, Protocol):
         """The values of all parameters that have one, said in ``timeout`` (s). Raises NoAnswer."""
 
 
-class NodeServices(ParameterAccess, Protocol):
+class StateAccess(Protocol):
+    """Exports and imports the state of a node that offers it (docs/protocols/foreign-state.md)."""
+
+    async def export_state(self, timeout: float) -> bytes | str:
+        """The state, said in ``timeout`` (s), or why the node exports none. Raises NoAnswer."""
+
+    async def import_state(self, state: bytes, timeout: float) -> str | None:
+        """Have the node take over ``state`` in ``timeout`` (s); None, or why the node refuses. Raises NoAnswer."""
+
+
+class NodeServices(ParameterAccess, StateAccess, Protocol):
     """The services that a node of ROS 2 has without code of its author. Times are in s; each raises NoAnswer."""
 
     def close(self) -> None:

@@ -163,9 +163,9 @@ class InstanceLife:
     """The life of one instance: its states, and what belongs to them.
 
     ``handle``: how its process is found, if a manager started it. ``latest``: what it reported last, while it is
-    connected. ``exit``: of one that has exited or is missing; ``role``: of one that is missing, or was. ``fenced``: of
-    one that is, what was done and why; ``closed``: the ports and topics of its outputs that were closed. ``history``:
-    the latest transitions, with their reasons.
+    connected; ``keeps_state``: whether it exports state, by what it reported last. ``exit``: of one that has exited or
+    is missing; ``role``: of one that is missing, or was. ``fenced``: of one that is, what was done and why; ``closed``:
+    the ports and topics of its outputs that were closed. ``history``: the latest transitions, with their reasons.
     """
 
     process: ProcessState = ProcessState.ABSENT
@@ -173,6 +173,7 @@ class InstanceLife:
     fence: FenceState = FenceState.NONE
     handle: Handle | None = None
     latest: LatestState | None = None
+    keeps_state: bool = False
     exit: Exited | None = None
     role: str | None = None
     fenced: FencedInstance | None = None
@@ -289,7 +290,8 @@ class LifeTable:
 
     def reported(self, state: ComponentState) -> None:
         """A component has reported its state."""
-        self._of(state.instance).latest = LatestState(state, self._clock.steady())
+        life = self._of(state.instance)
+        life.latest, life.keeps_state = LatestState(state, self._clock.steady()), state.keeps_state
 
     # -- what is the case --------------------------------------------------------------------------------
 

@@ -73,9 +73,10 @@ class Records(WireValue, frozen=True, kw_only=True):
 
 
 class ExportedState(WireValue, frozen=True, kw_only=True):
-    """``state`` is None where the component keeps none."""
+    """``state`` is None where the component keeps none, or it is ``lost``, and why: it does not answer."""
 
     state: bytes | None
+    lost: str | None = None
 
 
 class FetchedState(WireValue, frozen=True, kw_only=True):
@@ -141,15 +142,29 @@ class LastWrite(WireValue, frozen=True, kw_only=True):
     source: int | None
 
 
+class MovedState(WireValue, frozen=True, kw_only=True):
+    """State of so many ``bytes`` has moved between two nodes without Midstride's API.
+
+    ``silent``: for how long no message was published, from the last one of the old node to the first one of the new
+    one, on the topic where that was longest (s); None where none was published, or none is handed over. ``held``: for
+    how long requests to the services of both were held (s).
+    """
+
+    bytes: int
+    silent: float | None
+    held: float
+
+
 class CutResult(WireValue, frozen=True, kw_only=True):
     """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
 
     Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
-    ``because``: what was wrong with the transfer of state.
+    ``because``: what was wrong with the transfer of state; ``moved``: what has moved, of nodes without the API.
     """
 
     outcome: CutOutcome
     because: str | None = None
+    moved: MovedState | None = None
     last: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
     first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
 

@@ -51,6 +51,7 @@ from midstride.runtime.process.answering_instance import have_answer
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.reports import StateMove
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.observed_configuration import own_degradations_in
 from midstride.runtime.watch.simulated_time import stretch_of
@@ -73,7 +74,7 @@ class ActionDriver:
     While the change is rolled back, a removed instance gets back its own state, and a failure to transfer state does
     not fail the action. ``last_numbers`` holds the number of the last message of each output that was detached, and
     ``first_numbers`` that of the first message of each that took over at an agreed moment. States of replacements that
-    hand over no output move as well.
+    hand over no output move as well. ``moved``: by new node without Midstride's API, the state that has moved to it.
     """
 
     client: ComponentClient
@@ -85,6 +86,7 @@ class ActionDriver:
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     first_numbers: dict[PortRef, int] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
+    moved: dict[str, StateMove] = field(default_factory=dict)
     # By instance: what state of its predecessor it continues without, and why.
     own_state: dict[str, str] = field(default_factory=dict)
     fences: Fences = field(init=False)
@@ -94,6 +96,7 @@ class ActionDriver:
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _before_setting: dict[str, replies.PreviousParameters] = field(default_factory=dict)  # by instance
     _settings: dict[str, Setting] = field(default_factory=dict)  # what is set, by instance
+    _crashed: dict[str, str] = field(default_factory=dict)  # by role: what kept state, and has exited before
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     def __post_init__(self) -> None:
@@ -103,6 +106,9 @@ class ActionDriver:
         self.modes = ModeChanges(self.client, self.system)
         self._moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
         self._keeping = {name for name in change.replaced if keeps_state(self.client, name)}
+        for name in self.system.life.missing:
+            if (role := self.system.role_of_missing(name)) is not None and keeps_state(self.client, name):
+                self._crashed[role] = name
         predecessors = {new: old for old, new in change.replaced.items()}
         for new, because in left_behind(change, self.change.actions).items():
             self._keeps_own_state(predecessors[new], new, because)
@@ -220,6 +226,8 @@ class ActionDriver:
                 await self.change.parameters.started(instance)
                 if (state := self._exported.get(instance.role)) is not None:
                     await self._import_state(instance.name, state)
+                elif not self.rolling_back:
+                    self._lost_in_crash(instance)
             case Degrade() | Upgrade():
                 await self.modes.enter(action, because, budget)
             case Handover():
@@ -239,6 +247,8 @@ class ActionDriver:
                 await self._remove(action, budget)
                 await self._change_answering(instance, runs=False)  # if it did not respond
             case Remove(instance):
+                if instance in self._keeping and not self.rolling_back:
+                    self._state_lost(instance, f"{instance} had exited")
                 await self._change_answering(instance, runs=False)
             case Attach(port, connector) if not self._has_endpoint(port, connector):
                 await self._attach(action)
@@ -377,14 +387,17 @@ class ActionDriver:
         instance = self.configuration.instances[action.instance]
         fenced = action.instance in self.system.life.fenced
         # In a roll-back, this change created it, and the instance that returns has its own state.
-        if not self.rolling_back and not fenced:
+        moved = self.change.plan.change.replaced.get(action.instance) in self.moved
+        if not self.rolling_back and not fenced and not moved:
             export = commands.ExportStateCommand(timeout=budget.timeout(action.instance, STATE_TIMEOUT))
             try:
                 exported = await self.client.read(action.instance, export)
                 if exported.state is not None:
                     self._exported[instance.role] = exported.state
+                elif exported.lost is not None:
+                    self._state_lost(action.instance, exported.lost)
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
-                self.events.add("note", f"the state of {action.instance} is lost: {error}")
+                self._state_lost(action.instance, str(error))
         await self.change.parameters.leaving(action.instance, self.configuration)
         if instance.component.run is None:
             try:
@@ -398,6 +411,20 @@ class ActionDriver:
         else:
             await self.launcher.end(action.instance)
         await self.change.parameters.leaving(action.instance, self.configuration)
+
+    def _lost_in_crash(self, coming: Instance) -> None:
+        """Note that what comes again after a crash has not the state of the one that has exited."""
+        if (name := self._crashed.get(coming.role)) is not None:
+            because = f"{name} exited before it had exported its state"
+            self.own_state[coming.name] = own_state(name, coming.name, because)
+            self.events.add("note", f"{coming.name} starts with its own state: {because}")
+
+    def _state_lost(self, leaving: str, because: str) -> None:
+        """Note that an instance has ended without its state; also in the report, where its replacement is to come."""
+        self.events.add("note", f"the state of {leaving} is lost: {because}")
+        new = self.change.plan.change.replaced.get(leaving)
+        if new is not None and new not in self.configuration.instances and leaving in self._keeping:
+            self.own_state[new] = own_state(leaving, new, because)
 
     async def _change_answering(self, leaving: str, runs: bool) -> None:
         """If another instance has the role of one that leaves, have it answer requests from now on."""
@@ -509,6 +536,7 @@ class ActionDriver:
         self.last_numbers |= await handover.run()
         self.first_numbers |= handover.first_numbers
         self.late |= states.late
+        self.moved |= states.moved
 
     async def watch(self, action: Action) -> None:
         """After a hand-over, watch the new publishers for as long as the specification says; the old ones stay warm.

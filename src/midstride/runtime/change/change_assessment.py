@@ -13,6 +13,7 @@ from midstride.model.configuration import Configuration
 from midstride.plan.expected_losses import planned_instances, unmeasured_pair
 from midstride.plan.plan import Plan
 from midstride.runtime.change.lost_endpoints import endpoints_that_ended
+from midstride.runtime.change.planned_transfers import silences_for_state
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
 from midstride.runtime.records.reports import Outcome, StepTime
@@ -41,6 +42,7 @@ def change_assessment(
             *reported(outcome, silences, _unmeasured_roles(plan), _deactivations(plan, outcome)),
             *(each for each in at_outputs if each.verdict != "lost" or each.at_most or not lowered),
             *_exchanged(plan, outcome),
+            *silences_for_state(outcome, now),
             *endpoints_that_ended(plan, last_known, states, _together(plan, outcome)),
             *ended,
             *_others(plan, now),

@@ -51,6 +51,7 @@ from midstride.runtime.change.other_nodes_losses import (
     would_end_others,
 )
 from midstride.runtime.change.parameter_transfer import ParameterTransfer, unread_parameters
+from midstride.runtime.change.planned_transfers import planned_transfers
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
@@ -145,6 +146,7 @@ class ChangeSession:
             raise PlanRefused(refused)
         besides = (
             *lost_endpoints(plan, system.life.latest_states, self._endpoints()),
+            *planned_transfers(plan, system.life.latest_states),
             *nodes_that_will_end(plan, others),
         )
         in_turn = answered_in_turn(plan, system.life.latest_states)
@@ -366,6 +368,7 @@ class ChangeSession:
             below_baseline_seconds=execution.below_baseline_seconds,
             swaps=swaps,
             late=driver.late,
+            moved=driver.moved,
             own_state={
                 name: words
                 for name, words in {**driver.own_state, **change.parameters.unknown}.items()

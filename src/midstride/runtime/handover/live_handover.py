@@ -208,9 +208,12 @@ class LiveHandover:
             await self.client.change(swap.new.instance, attach)
 
     async def _have_answer(self) -> None:
-        """Have the new sides of the services answer, where nothing else is handed over. Raises MidstrideError."""
+        """Have the new sides of the services answer, where no topic is handed over. Raises MidstrideError."""
+        await self.states.prepare()
+        if self.states.agreed:
+            await self._exchange()
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self._services}):
-            if self.before_cut is not None:
+            if self.before_cut is not None and not self.states.agreed:
                 await self.before_cut(old, new)
             await self._have_answer_for(old, new)
 
@@ -418,9 +421,9 @@ class LiveHandover:
             if incoming.outcome != "done" and not any(incoming.first.values()):
                 reason = reason or await self._new.waits_for(cut.new)
                 what = "publish after the cut" if cut.swaps else "take over"
-                # An old side that is busy with exporting its state does not hang. A lifecycle node that could not be
-                # deactivated may: it is asked.
-                failed = OldSideFailed if because is None or cut.arbiter.exchange else StepFailed
+                # A component that is busy with exporting its state does not hang. A node without Midstride's API that
+                # has not done its part may: it is asked.
+                failed = StepFailed if because is not None and cut.arbiter.by_moment else OldSideFailed
                 raise failed(f"{cut.new} did not {what}; {cut.old} continues{reason}")
             # A new side that has published, and is still reporting it, has taken over if the old one knows.
             if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":

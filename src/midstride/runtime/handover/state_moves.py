@@ -1,4 +1,4 @@
-"""State that moves although no topic is handed over: between components without outputs (docs/protocols/state.md).
+"""State that moves although nothing is handed over: between instances without outputs (docs/protocols/state.md).
 
 Such a replacement is muted when it is upgraded: the old component still makes every call. Before the first step that
 takes anything from the old one, its state moves at a cut without outputs, and from then on the new one makes the calls.
@@ -27,6 +27,7 @@ class StateMoves:
     keeps_own: Callable[[str, str, str], None]
     predecessors: dict[str, str] = field(default_factory=dict)
     _muted: set[str] = field(default_factory=set)
+    _asked: set[str] = field(default_factory=set)
 
     async def before(self, action: Action, live: Container[str]) -> None:
         """Do what must precede ``action``; ``live`` are the instances of the configuration. Raises MidstrideError."""
@@ -35,7 +36,11 @@ class StateMoves:
                 continue
             if isinstance(action, Upgrade) and new in action.instances():
                 await self._mute(old, new)
-            elif isinstance(action, (Degrade, Detach, Remove)) and old in action.instances() and new in self._muted:
+            elif isinstance(action, (Degrade, Detach, Remove)) and old in action.instances():
+                if isinstance(action, Remove):  # without functionalities, no step has upgraded the new one
+                    await self._mute(old, new)
+                if new not in self._muted:
+                    continue
                 self._muted.discard(new)
                 if self.client.life.is_gone_or_fenced(old):
                     self.keeps_own(old, new, f"{old} exited or hangs, so it could not export its state")
@@ -44,11 +49,13 @@ class StateMoves:
                     del self.predecessors[new]
                     self.predecessors[old] = new  # a roll-back moves it back
                     self._muted.add(old)
+                    self._asked.add(old)
 
     async def _mute(self, old: str, new: str) -> None:
         """Have ``new`` wait for the state of ``old``, if that exports any."""
-        if new in self._muted or self.client.life.is_gone_or_fenced(old):
+        if new in self._asked or self.client.life.is_gone_or_fenced(old):
             return
+        self._asked.add(new)
         try:
             offer = await self.client.change(new, PrepareStateCommand(peer=old, address=self.client.address(old)))
         except CommandRefused as error:

@@ -13,11 +13,14 @@ from typing import Final
 from msgspec import structs
 
 from midstride.errors import MidstrideError
+from midstride.model.wording import counted
 from midstride.runtime.handover.agreed_cut import Cut
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
+from midstride.runtime.records.reports import StateMove
+from midstride.verdicts import seconds_in_words
 from midstride.wire.commands import PrepareStateCommand, StateTransfer
-from midstride.wire.replies import CutResult
+from midstride.wire.replies import CutResult, MovedState
 
 # How long state may take to move at a cut (s): the topic is silent meanwhile.
 STATE_TIMEOUT: Final = 2.0
@@ -28,9 +31,8 @@ BULK_TIMEOUT: Final = 30.0
 
 
 def keeps_state(client: ComponentClient, instance: str) -> bool:
-    """Whether the component exports state, as it last reported."""
-    latest = client.life.latest(instance)
-    return latest is not None and latest.state.keeps_state
+    """Whether the component exports state, as it last reported; it may have exited since."""
+    return client.life[instance].keeps_state
 
 
 def own_state(old: str, new: str, because: str, bulk: float | None = None) -> str:
@@ -40,6 +42,13 @@ def own_state(old: str, new: str, because: str, bulk: float | None = None) -> st
     else:
         lacking = f"what changed in the state of {old} from {_time_of_day(bulk)} to {_time_of_day(time.time())}"
     return f"{new} continues with its own state ({because}); lost is {lacking}"
+
+
+def moved_in_words(old: str, new: str, state: MovedState) -> str:
+    """What moved from ``old`` to ``new``, nodes without Midstride's API, and what waited for it."""
+    silent = "" if state.silent is None else f"nothing was published for {seconds_in_words(state.silent)}, and "
+    held = f"requests were held for {seconds_in_words(state.held)}"
+    return f"the state of {old} ({counted(state.bytes, 'byte')}) moved to {new}: {silent}{held}"
 
 
 def _time_of_day(at: float) -> str:
@@ -64,6 +73,8 @@ class StateTransfers:
     keeping: Container[str] = ()  # the components that keep state
     # By new component: what state of the old one it continues without, and why.
     own_state: dict[str, str] = field(default_factory=dict)
+    # By new node without Midstride's API: the state that has moved to it.
+    moved: dict[str, StateMove] = field(default_factory=dict)
     _bulks: dict[str, float] = field(default_factory=dict)  # by new component: when the bulk had moved (Unix time, s)
 
     async def prepare(self) -> None:
@@ -98,7 +109,7 @@ class StateTransfers:
                 order_only=order_only,
             )
         if not offer.has_state and old in self.keeping:
-            self.note_own_state(old, new, "it does not use Midstride's API")
+            self.note_own_state(old, new, "one of the two does not use Midstride's API")
 
     def note_own_state(self, old: str, new: str, because: str) -> None:
         self.own_state[new] = own_state(old, new, because, self._bulks.get(new))
@@ -112,7 +123,15 @@ class StateTransfers:
             self.note_own_state(old, new, f"{old} {how}")
 
     def ended(self, cut: Cut, incoming: CutResult) -> None:
-        """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period."""
+        """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period.
+
+        Of nodes without Midstride's API, note what the state cost.
+        """
+        if incoming.moved is not None:
+            found = incoming.moved
+            words = moved_in_words(cut.old, cut.new, found)
+            self.moved[cut.new] = StateMove(bytes=found.bytes, silent=found.silent, held=found.held, words=words)
+            self.events.add("note", words)
         ordered = cut.state is not None and cut.state.order_only
         if incoming.because is not None and not ordered and not cut.arbiter.exchange:  # that one has no state to move
             self.note_own_state(cut.old, cut.new, incoming.because)

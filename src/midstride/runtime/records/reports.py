@@ -93,6 +93,18 @@ class ModeSkew(Report, frozen=True):
     seconds: Annotated[float, Meta(description="between the first and the last of them, as measured")]
 
 
+class StateMove(Report, frozen=True, kw_only=True):
+    """The state of a node without Midstride's API has moved to its replacement, and what waited for it."""
+
+    bytes: int
+    silent: Annotated[
+        float | None,
+        Meta(description="seconds from the last message of the old node to the first of the new one; null: none"),
+    ]
+    held: Annotated[float, Meta(description="seconds for which requests to its services were held")]
+    words: str
+
+
 class Outcome(Report, frozen=True, kw_only=True):
     """The result of a change; `refused`: nothing was changed."""
 
@@ -110,6 +122,9 @@ class Outcome(Report, frozen=True, kw_only=True):
     own_state: Annotated[
         dict[str, str],
         Meta(description="new components that continue without the state of the old one: what is lost, and why"),
+    ] = {}
+    moved: Annotated[
+        dict[str, StateMove], Meta(description="by new node without Midstride's API: the state that has moved to it")
     ] = {}
     because: str | None = None
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []

@@ -1,7 +1,7 @@
-"""The lifecycle and parameter services of one process, asked without ROS: two nodes of a hand-over have one name.
+"""The lifecycle, parameter and state services of one process, asked without ROS.
 
-A request by ROS reaches both. One through the page of the gates is taken by the executor of the node that is meant,
-like any other (docs/decisions/addressed-requests.md).
+The two nodes of a hand-over have one name, and a request by ROS reaches both. One through the page of the gates is
+taken by the executor of the node that is meant, like any other (docs/decisions/addressed-requests.md).
 """
 
 from __future__ import annotations
@@ -49,6 +49,8 @@ class AddressedServices(RosNodeServices):
             number = self._page.ask(self._index, name, serialize_message(request or type_.Request()))
             try:
                 while (found := self._page.response(self._index, number)) is None:
+                    if self._page.is_dead(self._index):
+                        raise NoAnswer(f"its process ended before {name} had answered")
                     if loop.time() >= deadline:
                         raise NoAnswer(f"{name} has not answered within {timeout:g} s")
                     await asyncio.sleep(INTERVAL)

@@ -25,6 +25,7 @@ from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign import build
+from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint, Served, endpoints_seconds
@@ -84,6 +85,7 @@ class ForeignNodes:
         self._graph = graph
         self._served = served
         self._peers = LifecyclePeers()
+        self._states = StatePeers()
         self._managers = LifecycleManagers(services)
         self._reported = ReportedStates()
         self._page: Page | None = None
@@ -402,6 +404,7 @@ class ForeignNodes:
             before=before or (),
             predecessor=self._services_of_predecessor(record, old) if follows else None,
             managers=self._managers,
+            states=self._states,
         )
         agent.node.keeps_name = lambda: self._can_share(record)
         self._agents[record.instance] = agent

@@ -1,4 +1,4 @@
-"""The lifecycle and parameter services of another node, called from the manager's loop without a thread."""
+"""The lifecycle, parameter and state services of another node, called from the manager's loop without a thread."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from typing import Any, Final, TypeAlias
 
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces import srv as parameter_srv
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from midstride.backends.ros2.component.parameter_services import as_json
+from midstride.foreign.foreign_state import EXPORT_STATE, IMPORT_STATE, STATE
 from midstride.foreign.services import NoAnswer
 from midstride.model.instance_names import split_name
 
@@ -37,6 +39,11 @@ _TYPES: Final[Mapping[str, Any]] = {
     _SETTING[1]: _SETTING[0],
 }
 _TRANSITIONS: Final = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4, "shutdown": 5}
+
+
+async def _not_lost() -> bool:
+    """Of a request that is sent once: what it asks for may take as long as it may wait for an answer."""
+    return False
 
 
 class RosNodeServices:
@@ -119,6 +126,23 @@ class RosNodeServices:
         type_, service = _SETTING
         result = (await self._call(type_, service, timeout, request)).result
         return None if result.successful else str(result.reason)
+
+    async def export_state(self, timeout: float) -> bytes | str:
+        request = parameter_srv.GetParameters.Request(names=[STATE])
+        values = (await self._call(parameter_srv.GetParameters, EXPORT_STATE[0], timeout, request, _not_lost)).values
+        value = values[0] if values else ParameterValue()
+        if value.type == ParameterType.PARAMETER_BYTE_ARRAY:
+            return b"".join(value.byte_array_value)
+        return value.string_value or "its response has no bytes"
+
+    async def import_state(self, state: bytes, timeout: float) -> str | None:
+        value = ParameterValue(type=ParameterType.PARAMETER_BYTE_ARRAY)
+        value.byte_array_value = [bytes((each,)) for each in state]
+        request = parameter_srv.SetParameters.Request(parameters=[ParameterMessage(name=STATE, value=value)])
+        results = (await self._call(parameter_srv.SetParameters, IMPORT_STATE[0], timeout, request, _not_lost)).results
+        if not results:
+            return "its response has no result"
+        return None if results[0].successful else str(results[0].reason) or "it says no reason"
 
     async def _call(
         self, type_: Any, service: str, timeout: float, request: Any = None, lost: Lost | None = None

@@ -1,0 +1,107 @@
+"""The state of nodes without Midstride's API, where they offer it by two services (docs/protocols/foreign-state.md)."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+from midstride.errors import CommandRefused
+from midstride.foreign.graph_check import NamedServer, Served
+from midstride.foreign.node import WATCH, ForeignNode
+from midstride.foreign.services import NoAnswer, StateAccess
+from midstride.wire import replies
+
+# The services of a node, below its name, and their types.
+EXPORT_STATE: Final = ("midstride/export_state", "rcl_interfaces/srv/GetParameters")
+IMPORT_STATE: Final = ("midstride/import_state", "rcl_interfaces/srv/SetParameters")
+# How the parameter is called in them whose value, bytes, is the state.
+STATE: Final = "state"
+# How long the graph may take to show the services of a node that has just been started (s).
+SHOWN: Final = 1.0
+
+
+class ForeignState:
+    """The state of ``node``, asked for by its ``services``. ``served``: what the graph shows of them now."""
+
+    def __init__(self, node: ForeignNode, services: StateAccess, served: Callable[[], Served]) -> None:
+        self.node = node
+        self._services = services
+        self._served = served
+
+    def offers(self, service: tuple[str, str], served: Served | None = None) -> bool:
+        """Return whether the node has a service, by what is ``served``; None: by what the graph shows now."""
+        name, type_ = service
+        found = self._served() if served is None else served
+        return NamedServer("service", f"{self.node.record.node}/{name}", type_) in found.servers
+
+    @property
+    def exports(self) -> bool:
+        return self.offers(EXPORT_STATE)
+
+    async def require_import(self) -> None:
+        """Raises CommandRefused where the node cannot import state: the graph does not show it within SHOWN seconds."""
+        if not await self.node.comes_true(lambda: self.offers(IMPORT_STATE), SHOWN, every=WATCH):
+            name, type_ = IMPORT_STATE
+            words = f"{self.node.record.instance} cannot import state"
+            raise CommandRefused(f"{words}: its node offers no service {self.node.record.node}/{name} ({type_})")
+
+    async def export(self, timeout: float) -> bytes:
+        """The state. Raises CommandRefused where the node does not export it in ``timeout`` (s), and says why."""
+        found = await self.exported(timeout)
+        if found.state is None:
+            raise CommandRefused(f"{self.node.record.instance} has not exported its state: {found.lost}")
+        return found.state
+
+    async def exported(self, timeout: float) -> replies.ExportedState:
+        """The state, or that it is lost where the node does not answer in ``timeout`` (s), and would have to end.
+
+        Raises CommandRefused where the node refuses.
+        """
+        try:
+            found = await self._services.export_state(timeout)
+        except NoAnswer as error:
+            return replies.ExportedState(state=None, lost=str(error))
+        if isinstance(found, str):
+            raise CommandRefused(f"{self.node.record.instance} has not exported its state: {found}")
+        return replies.ExportedState(state=found)
+
+    async def import_(self, state: bytes, timeout: float) -> None:
+        """Raises CommandRefused where the node does not import ``state`` in ``timeout`` (s), and says why."""
+        await self.require_import()
+        try:
+            refused = await self._services.import_state(state, timeout)
+        except NoAnswer as error:
+            refused = str(error)
+        if refused is not None:
+            raise CommandRefused(f"{self.node.record.instance} has not imported the state: {refused}")
+
+
+@dataclass
+class StatePeers:
+    """Of a system, the nodes that may have state, by instance, and the transfers between them, by cut."""
+
+    nodes: dict[str, ForeignState] = field(default_factory=dict)
+    transfers: dict[str, asyncio.Task[replies.MovedState]] = field(default_factory=dict)
+
+    def exporting(self, instance: str) -> ForeignState | None:
+        """The state of ``instance``, where it exports any."""
+        found = self.nodes.get(instance)
+        return found if found is not None and found.exports else None
+
+
+async def moved(
+    old: ForeignState, new: ForeignState, timeout: float, ready: Callable[[], Awaitable[None]] | None = None
+) -> int:
+    """Move the state of ``old`` to ``new`` in ``timeout`` (s); how many bytes it has.
+
+    ``ready`` is awaited between the export and the import. Raises CommandRefused where one of them fails.
+    """
+    clock = asyncio.get_running_loop().time
+    deadline = clock() + timeout
+    state = await old.export(timeout)
+    if ready is not None:
+        await ready()
+    await new.import_(state, max(0.0, deadline - clock()))
+    return len(state)

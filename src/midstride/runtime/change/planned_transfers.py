@@ -1,0 +1,56 @@
+"""What it costs that the state of a node without Midstride's API moves to its replacement: planned, and as measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from midstride import verdicts
+from midstride.model.action import Create, Handover, Remove
+from midstride.model.configuration import Configuration
+from midstride.plan.plan import Plan
+from midstride.runtime.handover.state_transfers import STATE_TIMEOUT
+from midstride.runtime.instance_life import LatestState
+from midstride.runtime.records.reports import Outcome
+
+# An output that was silent for more than so many of its periods was late: one period is between any two messages.
+LATE: Final = 1.5
+
+
+def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[verdicts.Assessment]:
+    """What waits while ``plan`` moves state, of nodes that offer it. ``states``: what each instance reported last.
+
+    Where the old node is removed first, nothing but what the plan says anyway waits.
+    """
+    change = plan.change
+    created: set[str] = set()
+    removed_first: set[str] = set()
+    for step in plan.steps:
+        match step.action:
+            case Create(instance):
+                created.add(instance.name)
+            case Remove(name) if change.replaced.get(name) not in created:
+                removed_first.add(name)
+    swaps = [swap for step in plan.steps if isinstance(step.action, Handover) for swap in step.action.swaps]
+    connectors = {**change.start.context.connectors, **change.target.connectors}
+    for old, new in change.replaced.items():
+        latest = states.get(old)
+        before, after = change.component_of(old), change.component_of(new)
+        kinds = {before.gate is None, after.gate is None}
+        if latest is None or not latest.state.keeps_state or kinds == {True}:
+            continue
+        if len(kinds) == 2:
+            yield verdicts.state_left_behind(old, new)
+        elif old not in removed_first:
+            own = {connectors[swap.connector] for swap in swaps if swap.old.instance == old}
+            topics = sorted(each.topic for each in own if each.kind == "topic")
+            yield verdicts.silent_for_state(old, new, topics, STATE_TIMEOUT)
+
+
+def silences_for_state(outcome: Outcome, now: Configuration) -> Iterator[verdicts.Assessment]:
+    """The silences of ``outcome``, after which ``now`` runs, that were longer than the periods of the outputs."""
+    for new, moved in sorted(outcome.moved.items()):
+        ports = [port for port, _ in now.attached_ports(new)] if new in now.instances else []
+        rates = [rate for port in ports if (rate := now.rate(port))]
+        if moved.silent is not None and rates and moved.silent > LATE / min(rates):
+            yield verdicts.was_silent_for_state(new, moved.words, moved.silent)

@@ -1,0 +1,156 @@
+"""The state of a plain rclpy node across its replacements, under requests that change it; and one that refuses it.
+
+MIDSTRIDE_STATE_REPLACEMENTS says how many replacements the long test makes, where 30 take too long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.lang.load import load
+from midstride.plan.request import PlanRequest
+from tests.acceptance.foreign_support import Robot, declared_talker, robot
+from tests.acceptance.support import ended
+from tests.backends.ros2_support import run
+
+pytestmark = [pytest.mark.ros2, pytest.mark.full]
+
+REPLACEMENTS = int(os.environ.get("MIDSTRIDE_STATE_REPLACEMENTS", "30"))
+BYTES = int(os.environ.get("MIDSTRIDE_STATE_BYTES", "0"))
+
+# Plain rclpy: it counts its messages, and the requests that it has handled; both are its state. Its argument is what it
+# says to a state that is offered to it, or how many bytes its own has besides.
+COUNTER = """
+import os
+import sys
+import rclpy
+from rcl_interfaces.msg import ParameterType, ParameterValue, SetParametersResult
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from std_msgs.msg import String
+
+rclpy.init()
+node, own = Node("counter"), os.environ["MIDSTRIDE_INSTANCE"]
+publisher = node.create_publisher(String, "chatter", 10)
+count = handled = 0
+refusal = sys.argv[1] if sys.argv[1:] and not sys.argv[1].isdigit() else ""
+filling = b" " * int(sys.argv[1]) if sys.argv[1:] and not refusal else b""
+
+def talk():
+    global count
+    count += 1
+    publisher.publish(String(data=f"{own} {count}"))
+
+def handle(request, response):
+    global handled
+    handled += 1
+    response.result.names = [str(handled)]
+    return response
+
+def export_state(request, response):
+    assert list(request.names) == ["state"], request.names
+    state = f"{count} {handled}".encode() + filling
+    value = ParameterValue(type=ParameterType.PARAMETER_BYTE_ARRAY)
+    value.byte_array_value = [bytes((each,)) for each in state]
+    response.values = [value]
+    return response
+
+def import_state(request, response):
+    global count, handled
+    (parameter,) = request.parameters
+    if not refusal:
+        count, handled = map(int, b"".join(parameter.value.byte_array_value).split())
+    response.results = [SetParametersResult(successful=not refusal, reason=refusal)]
+    return response
+
+node.create_timer(0.02, talk)
+node.create_service(ListParameters, "handle", handle)
+node.create_service(GetParameters, "~/midstride/export_state", export_state)
+node.create_service(SetParameters, "~/midstride/import_state", import_state)
+try:
+    rclpy.spin(node)
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
+"""
+
+
+def written(folder: Path) -> Path:
+    (folder / "counter.py").write_text(COUNTER, encoding="utf-8")
+    text = "system counting\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
+    for name, argument in (("Plain", BYTES), ("Other", BYTES), ("Refusing", "'of another version'")):
+        text += declared_talker(name, f"python3 counter.py {argument}", "preload")
+    path = folder / "counting.stride"
+    path.write_text(f"{text}node counter : Plain {{ out -> /chat }}\n", encoding="utf-8")
+    return path
+
+
+async def calling(system: Robot, answers: list[int]) -> None:
+    """One request after the other, without an end."""
+    from rcl_interfaces.srv import ListParameters
+
+    client: Any = system.bare.node.create_client(ListParameters, "/handle")
+    while not client.service_is_ready():
+        await asyncio.sleep(0.01)
+    while True:
+        future = client.call_async(ListParameters.Request())
+        while not future.done():
+            await asyncio.sleep(0.002)
+        answers.append(int(future.result().result.names[0]))
+
+
+def kept_across(folder: Path, number: int) -> None:
+    async def scenario() -> None:
+        answers: list[int] = []
+        async with robot(load(written(folder)).require(), folder) as system:
+            clients = asyncio.ensure_future(calling(system, answers))
+            await system.until(lambda: len(answers) > 5)
+            silences = []
+            for count in range(number):
+                before = len(answers)
+                component = "Other" if count % 2 == 0 else "Plain"
+                report = await system.change(component, "counter")
+                assert (report.outcome, report.because, report.own_state) == ("done", None, {}), report
+                ((new, moved),) = report.moved.items()
+                assert moved.silent is not None
+                silences.append((moved.silent, moved.held, moved.bytes))
+                await system.until(lambda new=new: system.heard[-1][1] == new)  # type: ignore[misc]
+                await system.hears()
+                await system.until(lambda before=before: len(answers) > before + 5)  # type: ignore[misc]
+            plan = await system.manager.plan(PlanRequest(replace=(("counter", "Refusing"),)))
+            assert any("nothing is published on /chat, and requests" in each.words for each in plan.besides)
+            (writer,) = system.manager.configuration.instances
+            report = await system.change("Refusing", "counter")
+            assert report.outcome == "rolled_back"
+            assert report.because is not None and "has not imported the state: of another version" in report.because
+            await system.hears()
+            assert system.heard[-1][1] == writer
+            count = len(answers)
+            await system.until(lambda: len(answers) > count + 5)
+            clients.cancel()
+            await asyncio.gather(clients, return_exceptions=True)
+            for silent, held, size in sorted(silences):
+                print(f"{size} bytes: silent for {silent * 1e3:.1f} ms, requests held for {held * 1e3:.1f} ms")
+        # No number comes again, and each request was counted once, by a node that knew of all those before.
+        numbers = [number for _, _, number in system.heard]
+        assert all(before < after for before, after in pairwise(numbers)), system.holes()
+        assert answers == list(range(1, len(answers) + 1))
+        assert len(system.changes()) == number
+
+    with ended():
+        run(scenario(), 3600)
+
+
+def test_a_plain_node_keeps_what_it_has_counted_across_replacements(tmp_path: Path) -> None:
+    kept_across(tmp_path, 3)
+
+
+@pytest.mark.long
+def test_a_plain_node_keeps_what_it_has_counted_across_many_replacements(tmp_path: Path) -> None:
+    kept_across(tmp_path, REPLACEMENTS)
