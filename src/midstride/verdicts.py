@@ -383,10 +383,9 @@ def silent_for_state(old: str, new: str, topics: Sequence[str], seconds: float) 
     return Assessment(new, "lost", words, seconds=seconds, at_most=True)
 
 
-def state_left_behind(old: str, new: str) -> Assessment:
+def state_left_behind(old: str, new: str, because: str) -> Assessment:
     """A plan replaces a node that exports its state, and the state does not move."""
-    words = f"the state of {old} is lost: one of {old} and {new} uses Midstride's API, and the other one does not"
-    return Assessment(new, "lost", words)
+    return Assessment(new, "lost", f"the state of {old} is lost: {because}")
 
 
 def was_silent_for_state(new: str, words: str, seconds: float) -> Assessment:

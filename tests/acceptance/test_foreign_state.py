@@ -152,5 +152,24 @@ def test_a_plain_node_keeps_what_it_has_counted_across_replacements(tmp_path: Pa
 
 
 @pytest.mark.long
+def test_one_that_hangs_as_it_exports_is_replaced_all_the_same(tmp_path: Path) -> None:
+    """Its replacement takes over with its own state, and the report says what is lost."""
+
+    async def scenario() -> None:
+        path = written(tmp_path)
+        hangs = COUNTER.replace("    state = f", "    __import__('time').sleep(60)\n    state = f")
+        (tmp_path / "counter.py").write_text(hangs, encoding="utf-8")
+        async with robot(load(path).require(), tmp_path) as system:
+            report = await system.change("Other", "counter")
+            assert (report.outcome, len(report.fenced)) == ("done", 1), report
+            assert "counter hangs" in report.own_state["counter_2"], report.own_state
+            await system.hears()
+            assert system.heard[-1][1] == "counter_2"
+
+    with ended():
+        run(scenario(), 3600)
+
+
+@pytest.mark.long
 def test_a_plain_node_keeps_what_it_has_counted_across_many_replacements(tmp_path: Path) -> None:
     kept_across(tmp_path, REPLACEMENTS)

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -50,11 +50,11 @@ class StatefulNodes(Nodes):
         )
         await agent.open(self.transport)
 
-    async def hands_over(self) -> list[replies.CutResult]:
+    async def hands_over(self, swaps: list[commands.CutSwap] = SWAPS) -> list[replies.CutResult]:
         """The results of the new side and the old one, of a cut at which state moves."""
-        cut_out = commands.CutOutCommand(cut="c", swaps=SWAPS, at=0, resume_after=1, state=TRANSFER)
+        cut_out = commands.CutOutCommand(cut="c", swaps=swaps, at=0, resume_after=1, state=TRANSFER)
         await self.change("old", cut_out)
-        cut_in = commands.CutInCommand(cut="c", swaps=SWAPS, at=0, peer="old", address="", state=TRANSFER)
+        cut_in = commands.CutInCommand(cut="c", swaps=swaps, at=0, peer="old", address="", state=TRANSFER)
         await self.change("new", cut_in)
         return await self.results("new", "old")
 
@@ -147,6 +147,19 @@ def test_the_old_one_goes_on_where_state_does_not_move(
     between(body)
 
 
+def test_state_moves_where_no_topic_is_handed_over(between: Callable[[Body], None]) -> None:
+    async def body(system: StatefulNodes) -> None:
+        new, old = await system.hands_over([])
+        assert (new.outcome, old.outcome, new.because) == ("done", "done", None)
+        assert new.moved is not None and new.moved.silent is None
+        assert system.events == ["old exported", "new imported of old"]
+        assert (await system.gate("old"), await system.gate("new")) == ("open", "closed")
+        await system.cancelled()
+        await system.publishes("old")
+
+    between(body)
+
+
 def test_a_node_that_cannot_import_is_refused_beforehand(between: Callable[[Body], None]) -> None:
     async def body(system: StatefulNodes) -> None:
         prepare = commands.PrepareStateCommand(peer="old", address="")
@@ -235,6 +248,32 @@ def test_a_lifecycle_node_that_refuses_the_state_is_not_kept(tmp_path: Path, req
     outcome = simulated.managed(tmp_path, chat("lifecycle"), body, behaviour)
     assert outcome.outcome == "rolled_back"
     assert outcome.because is not None and "has not imported the state: of another version" in outcome.because
+
+
+@pytest.mark.parametrize("strategy", ["minimal", "paper"])
+def test_without_a_gate_the_old_node_has_to_end_first(tmp_path: Path, strategy: Literal["minimal", "paper"]) -> None:
+    """A node without ports, which is replaced beside the old one by default."""
+    text = """system plain
+component Talker { run "talker" gate none }
+component Other { run "other" gate none }
+node talker : Talker
+"""
+    request = PlanRequest(replace=(("talker", "Other"),), strategy=strategy)
+
+    async def body(manager: Manager, simulator: SimulatedRos) -> list[str]:
+        await asyncio.sleep(3)  # the graph has shown it
+        plan = await manager.plan(request)
+        outcome = await manager.change(request)
+        assert outcome.outcome == "done", outcome.because
+        assert [each for each in simulator.events if "imported" in each] == (
+            ["talker_2 imported 41"] if strategy == "paper" else []
+        )
+        said = [each.words for each in plan.besides if "the state of talker is lost" in each.words]
+        return [*said, *outcome.own_state.values()]
+
+    found = simulated.managed(tmp_path, text, body, KEPT)
+    assert len(found) == (2 if strategy == "minimal" else 0), found
+    assert all("`--strategy paper` moves it" in words for words in found)
 
 
 def test_after_a_crash_the_report_says_that_the_state_is_lost(tmp_path: Path) -> None:

@@ -87,9 +87,12 @@ class ForeignCommands:
         return replies.Done()
 
     async def _prepare_state(self, peer: str) -> replies.StateOffer:
-        """What moves to the node from that of ``peer``. Raises CommandRefused where it cannot import it."""
+        """What moves to the node from that of ``peer``, beside it. Raises CommandRefused where it cannot import it."""
         if self._state is None or self._peers.exporting(peer) is None:
             return replies.StateOffer(exports="nothing")
+        if self._node.gates is None and self._lifecycle is None:
+            words = f"{self._node.record.instance} has `gate {self._node.component.gate}`, so nothing holds it back"
+            raise CommandRefused(f"{words} while state moves; `--strategy paper` moves it")
         await self._state.require_import()
         return replies.StateOffer(exports="whole")
 

@@ -40,7 +40,11 @@ def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator
         if latest is None or not latest.state.keeps_state or kinds == {True}:
             continue
         if len(kinds) == 2:
-            yield verdicts.state_left_behind(old, new)
+            because = f"one of {old} and {new} uses Midstride's API, and the other one does not"
+            yield verdicts.state_left_behind(old, new, because)
+        elif old not in removed_first and "none" in (before.gate, after.gate):
+            because = "with `gate none`, nothing holds a node back while its state moves; `--strategy paper` moves it"
+            yield verdicts.state_left_behind(old, new, because)
         elif old not in removed_first:
             own = {connectors[swap.connector] for swap in swaps if swap.old.instance == old}
             topics = sorted(each.topic for each in own if each.kind == "topic")
