@@ -1,7 +1,8 @@
 """What the gate in a node without Midstride's API costs per message: processor time, beside the same node without it.
 
 The node publishes in a loop through a library that stands in for librcl, so nothing but the gate differs. With
-`--rcl` it is one on rcl: its throughput and calls without subscribers, and at 1 kHz the latency to a subscriber on rcl.
+`--requests` it takes requests and answers them instead. With `--rcl` it is one on rcl: its throughput and calls without
+subscribers, and at 1 kHz the latency to a subscriber on rcl.
 The runs are interleaved; a figure is the median over the runs, with the lowest and the highest.
 """
 
@@ -35,6 +36,7 @@ def variables(folder: Path) -> list[dict[str, str]]:
     library = build.library()
     page = Page(folder / "page", library)
     index = page.allocate("node")
+    page.have_requests(index)
     page.set_ports(index, [("/chat", OUTPUT)])
     port = page.ports(index)[0]
     port.flags, port.baton, port.gate = PortFlag.RATED | PortFlag.OFFERS, page.new_baton(index), OPEN
@@ -42,13 +44,15 @@ def variables(folder: Path) -> list[dict[str, str]]:
     return [{}, loaded, {**loaded, "MIDSTRIDE_GATE_PAGE": str(page.path), "MIDSTRIDE_GATE_NODE": str(index)}]
 
 
-def measure(folder: Path, runs: int, messages: int) -> dict[str, list[float]]:
-    """The processor time of a message (ns)."""
+def measure(folder: Path, runs: int, messages: int, requests: bool = False) -> dict[str, list[float]]:
+    """The processor time of a message, or of a request (ns)."""
     compiler = build.compiler()
     assert compiler is not None, "there is no C compiler"
     options = [*compiler, "-std=c11", "-O2"]
     subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", SOURCES / "fake_rcl.c"], check=True)
-    subprocess.run([*options, "-o", folder / "node", SOURCES / "fake_node.c", "-L", folder, "-lrcl"], check=True)
+    for program in ("node", "server"):
+        source = SOURCES / f"fake_{program}.c"
+        subprocess.run([*options, "-o", folder / program, source, "-L", folder, "-lrcl"], check=True)
     log = folder / "log"
     base = {**os.environ, "LD_LIBRARY_PATH": str(folder), "FAKE_LOG": str(log)}
     kinds = dict(zip(KINDS, variables(folder), strict=True))
@@ -58,6 +62,8 @@ def measure(folder: Path, runs: int, messages: int) -> dict[str, list[float]]:
             log.write_bytes(b"")
             os.truncate(log, LOG_SIZE)
             command = [str(folder / "node"), "1", "/chat", "0", str(messages), "time"]
+            if requests:
+                command = [str(folder / "server"), "/count", str(messages)]
             done = subprocess.run(command, env={**base, **more}, capture_output=True, text=True, check=True)
             figures[kind].append(float(done.stdout))
     return figures
@@ -116,6 +122,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=11)
     parser.add_argument("--messages", type=int)
     parser.add_argument("--rcl", action="store_true")
+    parser.add_argument("--requests", action="store_true", help="what a request to a server costs")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -125,9 +132,10 @@ def main() -> None:
             if options.json:
                 options.json.write_text(json.dumps(found))
             return
-        figures = measure(Path(folder), options.runs, options.messages or 2_000_000)
+        figures = measure(Path(folder), options.runs, options.messages or 2_000_000, options.requests)
     bare = figures["bare"]
-    print("| | ns per message, median | more than bare: median | lowest to highest |\n|---|---|---|---|")
+    what = "request" if options.requests else "message"
+    print(f"| | ns per {what}, median | more than bare: median | lowest to highest |\n|---|---|---|---|")
     for name, found in figures.items():
         more = [each - other for each, other in zip(found, bare, strict=True)]
         span = f"{min(more):.0f} to {max(more):.0f}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 from pathlib import Path
 
@@ -20,6 +21,7 @@ pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 # Serves, and publishes nothing.
 MAPS = """
+import time
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -27,7 +29,14 @@ from rcl_interfaces.srv import ListParameters
 
 rclpy.init()
 node = Node("maps")
-node.create_service(ListParameters, "map", lambda request, response: response)
+
+
+def map(request, response):
+    time.sleep(request.depth / 1000)
+    return response
+
+
+node.create_service(ListParameters, "map", map)
 try:
     rclpy.spin(node)
 except (KeyboardInterrupt, ExternalShutdownException):
@@ -73,7 +82,7 @@ component Astray like Maps { run "python3 user.py" gate preload }
 component User {
   run "python3 user.py" gate preload
   client count : Listing
-  client map : Listing
+  client map : Listing tolerates 2 missed
   functionality counting { uses count  mode normal { assume count }  mode off { } }
   functionality mapping { uses map  mode normal { assume map }  mode off { } }
 }
@@ -116,6 +125,24 @@ def test_declared_services_are_replaced_and_missed(tmp_path: Path, monkeypatch: 
             assert refused.outcome == "rolled_back"
             assert "does not serve service /map, for server map of Astray" in (refused.because or "")
             assert mode(mapping) == "normal"
+
+            # What relies on a server that hangs degrades, and nothing else; it is back when that answers again.
+            from rcl_interfaces.srv import ListParameters
+
+            client = system.bare.node.create_client(ListParameters, "/map")
+            await system.until(client.service_is_ready)
+            hanging = client.call_async(ListParameters.Request(depth=4000))
+            await system.until(lambda: mode(mapping) == "off")
+            (user,) = (each for each in (await manager.status()).instances if each.role == "user")
+            (found,) = (each for each in user.functionalities if each.name == "mapping")
+            assert re.fullmatch(
+                r"the assumption of mode normal broke: client map: the server of /map has not answered a request for "
+                r"[\d.]+ s, 0\.5 s are promised \(silence is tolerated for 1\.5 s\)",
+                found.because or "",
+            )
+            assert found.reflex and mode(counting) == "normal"
+            await system.until(hanging.done)
+            await system.until(lambda: mode(mapping) == "normal")
 
             # What relies on a server whose process has gone degrades, and nothing else.
             (maps,) = (each for each in (await manager.status()).instances if each.role == "maps")

@@ -168,3 +168,94 @@ int rcl_publisher_get_subscription_count(const struct publisher *publisher, size
   *count = publisher->topic[0] ? 3 : 0;
   return 0;
 }
+
+/* A server is the name of its service. There always is a request, from one client, which the middleware has received
+ * FAKE_RECEIVED_MS ago. */
+struct request_id {
+  uint8_t client[16];
+  int64_t number;
+};
+
+struct request_info {
+  int64_t sent, received;
+  struct request_id id;
+};
+
+int rcl_service_init(const char **service, const void *node, const void *type, const char *name, const void *options)
+{
+  (void)node, (void)type, (void)options;
+  *service = name;
+  return 0;
+}
+
+int rcl_service_fini(const char **service, void *node)
+{
+  (void)service, (void)node;
+  return 0;
+}
+
+const char *rcl_service_get_service_name(const char *const *service)
+{
+  return *service;
+}
+
+/* From Iron on, the type of a service has those of its messages. */
+void *rcl_service_configure_service_introspection(void)
+{
+  return NULL;
+}
+
+int rcl_take_request_with_info(const void *service, struct request_info *info, void *request)
+{
+  static int64_t number, ago = -1;
+  struct timespec now;
+  (void)service, (void)request;
+  if (ago < 0)
+    ago = getenv("FAKE_RECEIVED_MS") ? atoll(getenv("FAKE_RECEIVED_MS")) : 0;
+  if (ago)
+    clock_gettime(CLOCK_REALTIME, &now);
+  memset(info, 0, sizeof *info);
+  info->received = ago ? now.tv_sec * 1000000000ll + now.tv_nsec - ago * 1000000 : 0;
+  memcpy(info->id.client, "a client of it", 15);
+  info->id.number = ++number;
+  return 0;
+}
+
+int rcl_take_request(const void *service, struct request_id *id, void *request)
+{
+  struct request_info info;
+  int result = rcl_take_request_with_info(service, &info, request);
+  *id = info.id;
+  return result;
+}
+
+int rcl_send_response(const void *service, struct request_id *id, void *response)
+{
+  (void)service, (void)id, (void)response;
+  return 0;
+}
+
+/* Nothing comes. */
+int rcl_wait(const void *set, int64_t timeout)
+{
+  (void)set;
+  struct timespec pause = {timeout / 1000000000, timeout % 1000000000};
+  nanosleep(&pause, NULL);
+  return 2;
+}
+
+int rmw_deserialize(const void *bytes, const void *type, void *message)
+{
+  (void)bytes, (void)type, (void)message;
+  return 0;
+}
+
+void rcutils_reset_error(void)
+{
+}
+
+int rcl_service_set_on_new_request_callback(const void *service, const void *callback, const void *context)
+{
+  (void)service, (void)callback, (void)context;
+  return 0;
+}

@@ -111,3 +111,43 @@ def test_a_skeleton_states_it() -> None:
     files = project(loaded(text), "s.stride", {}).files
     [program] = [file.text for file in files if file.path.name == "listener.py"]
     assert "create_input('in', String, rate=10, tolerates=3)" in program
+
+
+CLIENT = """system s
+
+component User {
+  run "user" gate preload
+  client map : nav_msgs/srv/GetMap responds within 50 ms tolerates 3 missed
+  functionality use {
+    uses map
+    mode normal { assume map }
+    mode off { }
+  }
+}
+"""
+
+
+def test_a_client_with_a_bound_tolerates_missed_requests() -> None:
+    specification = loaded(CLIENT)
+    assert specification.components["User"].tolerates["map"] == 3
+    assert format_text(CLIENT).text == CLIENT
+    assert decode_specification(encode_specification(specification)) == specification
+
+
+def test_without_a_bound_no_request_is_ever_missed() -> None:
+    [found] = load_text(CLIENT.replace("responds within 50 ms ", "")).diagnostics
+    assert found.code == "E004" and found.span is not None and found.span.text == "3"
+    assert found.message == "client map tolerates 3 missed requests, but assumes no bound, so none is ever missed"
+    assert found.help is not None and "responds within 0.1 s" in found.help
+
+
+def test_the_editor_knows_the_tolerance_of_a_client() -> None:
+    resolved = load_text(CLIENT).resolved
+    assert resolved is not None
+
+    def words(before: str) -> set[str]:
+        return {each.word for each in complete(Source("s.stride", before), len(before), resolved)}
+
+    begun = "system s\ncomponent A {\n  client a : nav_msgs/srv/GetMap responds within 50 ms "
+    assert "tolerates" in words(begun)
+    assert words(f"{begun}tolerates 3 ") == {"missed"}

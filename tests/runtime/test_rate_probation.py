@@ -11,14 +11,22 @@ import pytest
 from immutables import Map
 
 from midstride.backends.simulator import Simulator
+from midstride.errors import StepFailed
 from midstride.model.action import Swap
 from midstride.model.specification import FEWEST_PERIODS
 from midstride.plan.request import PlanRequest
-from midstride.runtime.handover.probation import Probation, WatchedOutput, watch_after
+from midstride.runtime.handover.probation import (
+    Probation,
+    WatchedOutput,
+    WatchedServer,
+    watch_after,
+    watch_servers_after,
+)
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.wire.commands import AwaitRateCommand
 from midstride.wire.replies import RateVerdict
+from midstride.wire.state import ComponentState, LinkState, Responses
 from tests.model import build
 from tests.runtime.counting import Reader, at_rates, counting, exchanged, for_messages, settle, system
 from tests.runtime.scripted import Bench, bench, talking
@@ -243,5 +251,58 @@ def test_what_is_watched_on_a_slow_clock_is_watched_for_longer(tmp_path: Path) -
         watched = WatchedOutput(build.port("talker.out"), build.port("talker_2.out"), "/chatter", 5.0)
         await watch_after(b.client, [watched], 3.0, stretch=2.0)
         assert [asked.timeout for asked in b.client.of(AwaitRateCommand)] == [6.0]
+
+    bench(talking(), tmp_path, body)
+
+
+def serving(responses: Responses) -> ComponentState:
+    return ComponentState(
+        instance="server_2",
+        uuid="1",
+        pid=1,
+        revision=0,
+        functionalities={},
+        ports={"map": {"/map": LinkState(gate="open", count=0, responses=responses)}},
+        parameters={},
+        stopping=0.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("seen", "because"),
+    [
+        ({"silent": 1.4}, None),
+        ({"silent": 2.1}, "has not answered for 2.1 s on /map after the hand-over: 0.2 s are promised"),
+        ({"answered": 14, "late": 5}, None),  # of fewer than five, nothing is concluded
+        ({"answered": 20, "late": 6}, None),
+        ({"answered": 20, "late": 9, "longest": 0.5}, r"has answered 4 of 10 requests late \(in up to 0.5 s\) on /map"),
+    ],
+)
+def test_a_new_server_is_watched_by_its_bound(seen: dict[str, float], because: str | None, tmp_path: Path) -> None:
+    """It has answered ten requests before, five of them late, which do not count."""
+    before = {"within": 0.2, "tolerated": 5.0, "answered": 10, "late": 5}
+
+    async def body(b: Bench) -> None:
+        b.client.states["server_2"] = serving(Responses(**before))  # type: ignore[arg-type]
+        watched = [WatchedServer(build.port("server_2.map"), "/map")]
+        watching = asyncio.ensure_future(watch_servers_after(b.client, watched, 5.0))
+        begun = b.clock.steady()
+        await asyncio.sleep(1.0)
+        b.client.states["server_2"] = serving(Responses(**{**before, **seen}))  # type: ignore[arg-type]
+        if because is None:
+            await watching
+            assert b.clock.steady() - begun == pytest.approx(5.0)
+            return
+        with pytest.raises(StepFailed, match=because):
+            await watching
+        assert b.clock.steady() - begun <= 1.3
+
+    bench(talking(), tmp_path, body)
+
+
+def test_a_new_server_that_has_exited_breaks_off_the_watch(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        with pytest.raises(StepFailed, match="server_2 does not answer, or has exited, after the hand-over"):
+            await watch_servers_after(b.client, [WatchedServer(build.port("server_2.map"), "/map")], 5.0)
 
     bench(talking(), tmp_path, body)

@@ -23,7 +23,14 @@ from midstride.runtime.workspace import Workspace
 from midstride.wire.channel import ComponentReport
 from midstride.wire.commands import ModesCommand
 from midstride.wire.frames import StateChanged
-from midstride.wire.state import ComponentState, FieldSamples, FunctionalityState, LinkState, Measured
+from midstride.wire.state import (
+    ComponentState,
+    FieldSamples,
+    FunctionalityState,
+    LinkState,
+    Measured,
+    Responses,
+)
 from tests.planting import plant
 from tests.runtime.systems import request
 from tests.runtime.test_reflex import CHAIN, Chain, in_chain
@@ -457,6 +464,19 @@ def test_the_best_mode_is_restored_whose_inputs_are_back(left: LinkState, right:
     # What the model does not support is not judged by what is measured.
     dark = configuration.with_modes({FunctionalityRef(name, "look"): 1 for name in ("left", "right")})
     assert not any(list(lacking(dark, PILOT, index, state)) for index in range(3))
+
+
+def test_a_client_whose_server_breaks_its_bound_is_not_restored() -> None:
+    configuration = initial(decode_specification(CAMERAS)).with_modes({PILOT: 3})
+    kept = Responses(within=0.05, tolerated=5.0, silent=1.0)
+    broken = structs.replace(kept, silent=6.0, broken="has not answered a request")
+
+    def lacks(responses: Responses) -> list[str]:
+        left = LinkState(gate=None, count=0, responses=responses)
+        return list(lacking(configuration, PILOT, 0, reported(left, GOOD)))
+
+    assert lacks(kept) == []
+    assert lacks(broken) == ["left"]
 
 
 def reported(left: LinkState, right: LinkState) -> ComponentState:

@@ -14,7 +14,7 @@ from midstride.backends.simulator import Simulator
 from midstride.model.component import PortRef
 from midstride.runtime.manager import Manager
 from midstride.runtime.watch.silence import PORT_SILENCE, SILENT_PERIODS, SilenceMonitor
-from midstride.wire.state import LinkState
+from midstride.wire.state import LinkState, Responses
 from tests.model.build import work
 from tests.runtime.scripted import Bench, bench, reported, talking
 from tests.runtime.systems import managed, replace
@@ -29,6 +29,7 @@ class Reports:
         self.counts = {"talker": 0, "listener": 0}
         self.gate: Any = "open"
         self.changed: dict[str, Any] = {}
+        self.responses: Responses | None = None  # of a server, if the port is one
 
     async def half_seconds(self, count: int, *, talker: int = 5, listener: int = 5, silent: str | None = None) -> None:
         """``talker`` messages are published and ``listener`` received in each."""
@@ -45,7 +46,7 @@ class Reports:
         functionalities = {
             key: structs.replace(each, since=self.b.clock.steady()) for key, each in state.functionalities.items()
         }
-        links = {port: {"/chatter": LinkState(gate=gate, count=self.counts[name])}}
+        links = {port: {"/chatter": LinkState(gate=gate, count=self.counts[name], responses=self.responses)}}
         state = structs.replace(state, ports=links, functionalities=functionalities, **self.changed)
         self.b.client.states[name] = state
         self.monitor.on_report(state, self.b.configuration)
@@ -110,6 +111,27 @@ def test_an_output_that_publishes_nothing_although_its_mode_guarantees_a_rate_is
         assert r.b.words("note") == ["talker.out publishes on /chatter again"]
 
     assert PORT_SILENCE > SILENT_PERIODS / 10
+    reporting(tmp_path, body)
+
+
+def test_a_server_that_breaks_its_bound_is_a_fault_until_it_does_not(tmp_path: Path) -> None:
+    async def body(r: Reports) -> None:
+        r.responses = Responses(within=0.05, tolerated=5.0, silent=4.0)
+        await r.half_seconds(4, talker=0, listener=0)
+        assert r.kinds() == []
+        r.responses = structs.replace(r.responses, silent=5.5, broken="has not answered a request")
+        await r.half_seconds(2, talker=0, listener=0)
+        r.responses = structs.replace(r.responses, silent=6.5)
+        await r.half_seconds(2, talker=0, listener=0)
+        assert r.kinds() == [("not_responding", "talker.out")]
+        [fault] = r.monitor.faults(r.b.configuration)
+        assert (fault.seconds, fault.topic) == (6.5, "/chatter")
+        words = "talker.out has not answered a request on /chatter, although 50 ms are promised"
+        assert r.b.words("silence") == [words]
+        r.responses = structs.replace(r.responses, silent=0.0, broken=None)
+        await r.half_seconds(3)
+        assert r.b.words("note") == ["talker.out answers requests on /chatter in time again"]
+
     reporting(tmp_path, body)
 
 

@@ -1258,7 +1258,7 @@ declare namespace Api {
 
   /** A component that does not answer, or a port that has been silent for so long (null: unknown). */
   interface SilenceFault {
-    kind: "not_answering" | "not_discovering" | "not_publishing" | "not_receiving";
+    kind: "not_answering" | "not_discovering" | "not_publishing" | "not_receiving" | "not_responding";
     instance: string;
     port: string | null;
     topic: string | null;

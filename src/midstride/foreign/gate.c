@@ -250,6 +250,14 @@ struct held {
   bool added;     /* it is about many goals, and the node has cancelled its own */
 };
 
+/* A request that a server has taken and not answered yet; it may be answered at any time, and by any thread. */
+struct unanswered {
+  _Atomic uint64_t key; /* of its client and number; 0: free */
+  _Atomic int64_t since; /* when it arrived: CLOCK_MONOTONIC, ns; 0: that is about to be noted */
+};
+/* How many of a server are known at once. */
+#define UNANSWERED 32u
+
 /* Which service of a ROS action it is. */
 enum service { OTHER, SEND_GOAL, CANCEL_GOAL, GET_RESULT };
 
@@ -273,6 +281,8 @@ struct entry {
   const void *response; /* the type of what it answers */
   struct taken *taken; /* with `lock` */
   bool cancelled; /* the library has cancelled all goals */
+  struct unanswered unanswered[UNANSWERED];
+  _Atomic uint32_t responses; /* how many it has sent to such requests */
 };
 
 #define ENTRIES 256u
@@ -416,7 +426,8 @@ static struct entry *unused(const void *endpoint)
   }
 }
 
-static void *help(void *);
+_Noreturn static void *help(void *);
+static void stop_at_exit(void);
 
 /* Give a port back that a node no longer has. */
 static void free_port(struct port *port)
@@ -593,9 +604,12 @@ static bool add(const void *endpoint, const void *owner, const char *topic, uint
   entry->response = response;
   entry->taken = NULL;
   entry->cancelled = false;
+  memset(entry->unanswered, 0, sizeof entry->unanswered);
+  atomic_store(&entry->responses, atomic_load(&port->answered));
   atomic_store(&entry->holding, 0);
   atomic_store_explicit(&entry->endpoint, endpoint, memory_order_release);
   atomic_fetch_add(&port->endpoints, 1);
+  stop_at_exit();
   if (!helping) {
     sigset_t all, before;
     sigfillset(&all);
@@ -648,6 +662,8 @@ static void forget(const void *endpoint)
   atomic_store_explicit(&entry->endpoint, REMOVED, memory_order_release);
   atomic_fetch_sub(&entry->port->endpoints, 1);
   atomic_store(&entry->port->kept, 0);
+  atomic_store(&entry->port->waiting, 0);
+  atomic_store(&entry->port->busy, 0);
   discard(entry, 0);
   while (entry->held)
     free_held(unlink_held(entry, &entry->held));
@@ -1118,12 +1134,13 @@ static enum turn turn_with(struct requests *requests, const struct entry *entry,
   return turn_of(subject->about, entry->me, own, owner, in_flight, added, missing);
 }
 
-static void answering(struct entry *entry);
+static void answering(struct entry *entry, const struct request_id *id, int64_t since);
 
-/* Claim a request for the node of `entry`; false where it has been claimed. `taken`: what is to be remembered of it until
- * it is answered, NULL for that of any other service than those of a ROS action. */
+/* Claim a request for the node of `entry`, which has had to answer it since `since`; false where it has been claimed.
+ * `taken`: what is to be remembered of it until it is answered, NULL for that of any other service than those of a ROS
+ * action. */
 static bool begin(struct requests *requests, struct entry *entry, const struct request_id *id,
-                  const struct subject *subject, struct taken **taken)
+                  const struct subject *subject, int64_t since, struct taken **taken)
 {
   struct goal *goal = entry->service == SEND_GOAL ? reserve_goal(requests, entry, subject) : NULL;
   *taken = NULL;
@@ -1132,7 +1149,7 @@ static bool begin(struct requests *requests, struct entry *entry, const struct r
       step_goal(goal, entry->me, REJECT);
     return false;
   }
-  answering(entry);
+  answering(entry, id, since);
   if (entry->service == OTHER)
     return true;
   if (goal)
@@ -1330,11 +1347,71 @@ static void hold(struct entry *entry, const struct request_info *info, const voi
     free_held(surplus);
 }
 
-static void answering(struct entry *entry)
+/* What distinguishes a request; not 0. */
+static uint64_t request_key(const struct request_id *id)
+{
+  uint64_t key = client_key(id) + (uint64_t)id->number * UINT64_C(0x9e3779b97f4a7c15);
+  return key ? key : 1;
+}
+
+/* Since when the oldest request of a server is not answered; 0: each is. */
+static int64_t oldest_of(const struct entry *entry)
+{
+  int64_t oldest = 0;
+  for (unsigned place = 0; place < UNANSWERED; place++) {
+    int64_t since = atomic_load_explicit(&entry->unanswered[place].since, memory_order_relaxed);
+    if (since && (!oldest || since < oldest))
+      oldest = since;
+  }
+  return oldest;
+}
+
+/* A server has a request. One beyond those that there is room for is not measured. What two threads may leave wrong of the
+ * oldest one, the helper thread corrects when it looks next. */
+static void note_taken(struct entry *entry, const struct request_id *id, int64_t since)
+{
+  uint64_t key = request_key(id);
+  for (unsigned step = 0; step < UNANSWERED; step++) {
+    struct unanswered *place = &entry->unanswered[(key + step) % UNANSWERED];
+    uint64_t free = 0;
+    if (!atomic_compare_exchange_strong(&place->key, &free, key))
+      continue;
+    atomic_store(&place->since, since);
+    int64_t oldest = atomic_load(&entry->port->waiting);
+    if (!oldest || since < oldest)
+      atomic_store(&entry->port->waiting, since);
+    return;
+  }
+}
+
+/* It has answered the request, or has it no longer: `sent` says whether it has. */
+static void note_answered(struct entry *entry, const struct request_id *id, bool sent)
+{
+  uint64_t key = request_key(id);
+  for (unsigned step = 0; step < UNANSWERED; step++) {
+    struct unanswered *place = &entry->unanswered[(key + step) % UNANSWERED];
+    if (atomic_load(&place->key) != key)
+      continue;
+    int64_t took = (now_ns() - atomic_load(&place->since)) / 1000;
+    atomic_store(&place->since, 0);
+    atomic_store(&place->key, 0);
+    atomic_store(&entry->port->waiting, oldest_of(entry));
+    if (!sent)
+      return;
+    uint32_t number = atomic_fetch_add(&entry->responses, 1);
+    atomic_store(&entry->port->took[number % LATEST], took < UINT32_MAX ? (uint32_t)took : UINT32_MAX);
+    atomic_store(&entry->port->answered, number + 1);
+    return;
+  }
+}
+
+static void answering(struct entry *entry, const struct request_id *id, int64_t since)
 {
   count(entry->port, true);
-  if (entry->service != GET_RESULT) /* which is answered when the goal has ended */
-    atomic_fetch_add(&page->nodes[entry->me - 1].unanswered, 1);
+  if (entry->service == GET_RESULT) /* which is answered when the goal has ended */
+    return;
+  atomic_fetch_add(&page->nodes[entry->me - 1].unanswered, 1);
+  note_taken(entry, id, since);
 }
 
 void midstride_ring(struct page *shared, unsigned index);
@@ -1347,13 +1424,14 @@ static void ring_others(const struct entry *entry)
     midstride_ring(page, ANSWERING(word) - 1);
 }
 
-/* A request of this node needs no more to be waited for. */
-static void answered(struct entry *entry, struct requests *requests)
+/* A request of this node needs no more to be waited for; `sent`: it has been answered. */
+static void answered(struct entry *entry, struct requests *requests, const struct request_id *id, bool sent)
 {
   struct node *own = &page->nodes[entry->me - 1];
   atomic_store(&own->answered, now_ns());
   if (entry->service == GET_RESULT)
     return;
+  note_answered(entry, id, sent);
   uint32_t left = atomic_load(&own->unanswered);
   while (left && !atomic_compare_exchange_weak(&own->unanswered, &left, left - 1))
     ;
@@ -1407,7 +1485,7 @@ static struct held *due(struct entry *entry, struct requests *requests)
       if (turn == ADD && claim_request(requests, &held->info.id, true))
         found = copied_to_add(held);
       place = &held->next;
-    } else if (begin(requests, entry, &held->info.id, &held->subject, &held->taken)) {
+    } else if (begin(requests, entry, &held->info.id, &held->subject, now_ns(), &held->taken)) {
       found = unlink_held(entry, place);
     } else {
       held = unlink_held(entry, place);
@@ -1441,7 +1519,7 @@ static bool take_held(struct entry *entry, struct requests *requests, struct req
       return true;
     real_rcutils_reset_error()();
     if (own && !is_asked(&info->id))
-      answered(entry, requests);
+      answered(entry, requests, &info->id, false);
   }
   return false;
 }
@@ -1493,7 +1571,7 @@ static uint32_t look_at_held(struct entry *entry, struct requests *requests)
       bool received = seen >> 48 == ANSWERING(word) && seen <= SEEN(ANSWERING(word), held->info.id.number);
       /* As if this node answered: what is about a goal of its successor is still that one's. */
       bool own = turn_with(requests, entry, &held->subject, &held->info.id, held->at, held->added, true) == ANSWER;
-      if (!received && own && begin(requests, entry, &held->info.id, &held->subject, &held->taken))
+      if (!received && own && begin(requests, entry, &held->info.id, &held->subject, now, &held->taken))
         held->claimed = true;
     }
     waiting += !held->claimed;
@@ -1545,6 +1623,7 @@ static void look_at_server(struct entry *entry, const void *server)
   }
   uint32_t waiting = atomic_load(&entry->holding) ? look_at_held(entry, requests) : 0;
   used_ports[entry->used].waiting += waiting;
+  atomic_store(&entry->port->waiting, oldest_of(entry));
   if (is_due(entry))
     announce(entry);
 }
@@ -1698,7 +1777,6 @@ static void look(void)
   }
 }
 
-/* Before what the middleware keeps is destroyed: it was loaded before this was registered. */
 static void stop_helping(void)
 {
   pthread_mutex_lock(&lock);
@@ -1706,16 +1784,27 @@ static void stop_helping(void)
   pthread_mutex_unlock(&lock);
 }
 
-static void *help(void *unused)
+/* Have the helper thread stop before what the middleware keeps is destroyed. At exit, what was registered last comes first,
+ * and the middleware registers what it makes for its first endpoints; so this is done for each of them, and not in the
+ * thread, which may not have run yet when the process ends. With `lock`. */
+static void stop_at_exit(void)
+{
+  static unsigned registered;
+  if (registered < ENTRIES && atexit(stop_helping) == 0)
+    registered++;
+}
+
+_Noreturn static void *help(void *unused)
 {
   (void)unused;
-  atexit(stop_helping);
   for (;;) {
     uint32_t seen = atomic_load(&node->bell);
     pthread_mutex_lock(&lock);
     if (stopping) {
       pthread_mutex_unlock(&lock);
-      return NULL;
+      /* To end here would destroy what the middleware keeps for this thread, while the process destroys the rest. */
+      for (;;)
+        pause();
     }
     look();
     pthread_mutex_unlock(&lock);
@@ -1900,13 +1989,31 @@ EXPORT int rcl_service_set_on_new_request_callback(const void *service, void (*c
     pthread_mutex_lock(&lock);
     entry->callback = callback;
     entry->context = context;
+    atomic_store(&entry->port->busy, 0); /* which is known of executors that wait */
     pthread_mutex_unlock(&lock);
   }
   return real_rcl_service_set_on_new_request_callback()(service, callback, context);
 }
 
-/* Of the two functions that take a request, one may call the other. */
+/* Of the two functions that take a request, one may call the other: then that one knows when the request was received. */
 static _Thread_local bool taking;
+static _Thread_local int64_t received;
+
+/* A clock that is set by more than this between the arrival of a request and its being taken is noticed (ns). */
+#define LONGEST_WAIT INT64_C(60000000000)
+
+/* When a request arrived that is taken now, by when the middleware says that it was received: CLOCK_REALTIME, ns; it may not
+ * say so (0), or that clock may have been set. */
+static int64_t arrival(int64_t by_the_middleware)
+{
+  int64_t now = now_ns();
+  if (by_the_middleware <= 0)
+    return now;
+  struct timespec at;
+  clock_gettime(CLOCK_REALTIME, &at);
+  int64_t waited = at.tv_sec * INT64_C(1000000000) + at.tv_nsec - by_the_middleware;
+  return waited > 0 && waited < LONGEST_WAIT ? now - waited : now;
+}
 
 /* Take a request with `real_take`, or one that was held. */
 static int take_request(const void *service, struct request_info *info, void *request, bool with_info)
@@ -1917,9 +2024,12 @@ static int take_request(const void *service, struct request_info *info, void *re
     return 0;
   bool nested = taking;
   taking = true;
+  received = 0;
   int result = with_info ? real_rcl_take_request_with_info()(service, info, request)
                          : real_rcl_take_request()(service, &info->id, request);
   taking = nested;
+  if (with_info && result == 0)
+    received = info->received;
   if (result != 0 || !requests)
     return result;
   note_seen(requests, entry->me, &info->id);
@@ -1927,7 +2037,7 @@ static int take_request(const void *service, struct request_info *info, void *re
   struct taken *taken = NULL;
   switch (turn_with(requests, entry, &subject, &info->id, now_ns(), false, answers(requests, entry))) {
   case ANSWER:
-    if (!begin(requests, entry, &info->id, &subject, &taken))
+    if (!begin(requests, entry, &info->id, &subject, arrival(received), &taken))
       return NO_REQUEST;
     remember(entry, taken);
     return 0;
@@ -1993,14 +2103,26 @@ EXPORT int rcl_send_response(const void *service, struct request_id *id, void *r
   if (goal && result == 0)
     step_goal(goal, entry->me, FETCH);
   free(taken);
-  answered(entry, requests);
+  answered(entry, requests, id, true);
   return result;
+}
+
+/* Since when no executor waits for requests to a server; 0: one begins to. */
+static void note_busy(const void *service, int64_t since)
+{
+  struct entry *entry = service ? find(service) : NULL;
+  if (entry && !entry->callback)
+    atomic_store_explicit(&entry->port->busy, since, memory_order_relaxed);
 }
 
 /* Servers with a request that is held are ready once the node is to answer it. */
 EXPORT int rcl_wait(struct wait_set *set, int64_t timeout)
 {
-  if (!page || !set || !set->impl || !set->service_count || set->service_count > ENTRIES)
+  if (!page || !set || !set->impl || !set->service_count)
+    return real_rcl_wait()(set, timeout);
+  for (size_t index = 0; index < set->service_count; index++)
+    note_busy(set->services[index], 0);
+  if (set->service_count > ENTRIES)
     return real_rcl_wait()(set, timeout);
   const void *services[ENTRIES];
   size_t count = set->service_count;
@@ -2023,6 +2145,9 @@ EXPORT int rcl_wait(struct wait_set *set, int64_t timeout)
   waits = &own;
   pthread_mutex_unlock(&lock);
   int result = real_rcl_wait()(set, timeout);
+  int64_t now = now_ns();
+  for (size_t index = 0; index < count; index++)
+    note_busy(services[index], now);
   pthread_mutex_lock(&lock);
   struct waiting **place = &waits;
   while (*place != &own)

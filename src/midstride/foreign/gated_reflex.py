@@ -2,6 +2,7 @@
 
 docs/protocols/foreign.md. Publishers are judged by when they wrote last, which the
 page shows of those with a preloaded library, and others report: the node itself may be too busy to take messages.
+Servers with a bound are judged by what they have answered, which the page shows, too.
 """
 
 from __future__ import annotations
@@ -11,11 +12,15 @@ from collections.abc import Iterable, Sequence
 from midstride.foreign.node import ForeignNode
 from midstride.model.component import Assumption, ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import satisfies
+from midstride.model.wording import KIND_WORDS
 from midstride.node.control.shortfall import LONG_FLOOR, tolerated_periods
 
 
 def broken_assumptions(node: ForeignNode) -> dict[str, tuple[str, str]]:
-    """By functionality whose mode assumes what has fallen silent: the best mode below that does not, and why."""
+    """By functionality whose mode assumes what has fallen silent: the best mode below that does not, and why.
+
+    Silent is also a server that breaks its bound.
+    """
     if node.gates is None or node.record.simulated_time:
         return {}
     found = {}
@@ -32,6 +37,8 @@ def broken_assumptions(node: ForeignNode) -> dict[str, tuple[str, str]]:
 
 def _silence(node: ForeignNode, functionality: str, port: str) -> str | None:
     """In words, that an input has been silent for too long because its publishers have; None where that is not so."""
+    if node.component.is_service(port):
+        return _unanswered(node, functionality, port)
     gates, rate = node.gates, node.component.stated_rate(port, node.record.modes)
     if gates is None or port not in node.record.links or not rate or (received := gates.age(port)) is None:
         return None
@@ -44,6 +51,16 @@ def _silence(node: ForeignNode, functionality: str, port: str) -> str | None:
         return None
     words = f"input {port} received nothing on {topic} for {received:.2f} s"
     return f"{words} ({rate:g} Hz is assumed; silence is tolerated for {tolerated:.2g} s)"
+
+
+def _unanswered(node: ForeignNode, functionality: str, port: str) -> str | None:
+    """In words, that the server of a client breaks the bound that is assumed of it; None where it does not."""
+    found = node.responses(port)
+    if found is None or found.broken is None or node.seconds_in_mode(functionality) <= found.tolerated:
+        return None
+    client = KIND_WORDS[node.component.kind_of(port)].input
+    tolerated = f"silence is tolerated for {found.tolerated:.2g} s"
+    return f"{client} {port}: the server of {node.record.topics[port]} {found.words} ({tolerated})"
 
 
 def _supported(node: ForeignNode, functionality: FunctionalitySpec, mode: Mode, silent: Iterable[str]) -> bool:

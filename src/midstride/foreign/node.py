@@ -15,8 +15,10 @@ from msgspec.structs import replace
 
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign.gates import Gates
+from midstride.foreign.page import SEND_GOAL, PagePort
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
+from midstride.foreign.response_watch import ResponseWatch
 from midstride.model.component import ComponentSpec
 from midstride.node.author.message_times import window_of
 from midstride.wire.state import (
@@ -27,6 +29,7 @@ from midstride.wire.state import (
     GateState,
     LinkState,
     Measured,
+    Responses,
     UndeclaredTopic,
 )
 
@@ -70,6 +73,8 @@ class ForeignNode:
         self._since = dict.fromkeys(record.modes, time.monotonic())
         self._because = dict.fromkeys(record.modes, "started")
         self._counts: dict[str, deque[tuple[float, int]]] = {}
+        # By server or client with a bound: what is seen of the server, and where that was found.
+        self._bounds: dict[str, tuple[ResponseWatch, PagePort | None]] = {}
 
     async def comes_true(self, condition: Callable[[], bool], timeout: float, every: float = TICK) -> bool:
         """Wait until ``condition`` holds, no longer than ``timeout`` (s); whether it does. ``every``: in s."""
@@ -202,10 +207,35 @@ class ForeignNode:
             return "open" if self.record.links[port] == "open" and self.answers else "closed"
         return "open" if self.record.links[port] == "open" and (not self.gates or self.gates.has_it(port)) else "closed"
 
+    def responses(self, port: str) -> Responses | None:
+        """What is seen of the server at an attached server or client; None where no bound is stated, or nothing is.
+
+        In simulated time nothing is: a server may wait for ``/clock``.
+        """
+        record, component, gates = self.record, self.component, self.gates
+        within = component.stated_bound(port, record.modes) if port in record.links else None
+        if within is None or gates is None or record.simulated_time:
+            self._bounds.pop(port, None)
+            return None
+        watch, known = self._bounds.get(port, (None, None))
+        if watch is None or watch.within != within:
+            watch = ResponseWatch(within, component.tolerates.get(port))
+        page, service = gates.page, record.topics[port]
+        if component.kind_of(port) == "action":
+            service += SEND_GOAL
+        server = page.server(service, gates.index if component.has_output(port) else None, known)
+        self._bounds[port] = watch, server
+        if server is None:
+            watch.look(None, 0, 0, 0)
+            return None
+        index = server.node - 1
+        watch.look(server, int(page.layout.nodes[index].pid), page.beat(index), time.monotonic_ns())
+        return watch.responses
+
     def _link(self, port: str) -> LinkState:
         gates = self.gates
         if self.component.is_service(port):
-            return LinkState(gate=self._gate_state(port), count=0)
+            return LinkState(gate=self._gate_state(port), count=0, responses=self.responses(port))
         if gates is None:
             silent = None if self.inactive is None or not self.component.has_output(port) else self.inactive()
             return LinkState(gate=self._gate_state(port), count=0, inactive=silent)

@@ -26,6 +26,7 @@
 #define CLIENTS 512 /* how many clients of its services are known for a role at once */
 #define GOALS 256 /* how many goals of its ROS actions are known for a role at once */
 #define ADDED 4 /* how many requests to cancel many goals can be under way at two nodes of a role at once */
+#define LATEST 8 /* of how many requests that a server has answered it is known how long each took */
 #define NAME 256
 #define MARK 16 /* of the identity of an endpoint in the graph */
 
@@ -52,7 +53,13 @@ struct port {
   _Atomic uint32_t half;      /* half the period of an output with a rate (us); 0: any write is a slot */
   _Atomic uint32_t node;      /* index + 1 of the node that has it; 0: free */
   uint32_t number;            /* which of the ports of that node it is, from 0 */
-  uint32_t spare[14];
+  /* Of a server: since when its oldest request is not answered, and since when no executor waits for its requests, not even
+   * to take one (CLOCK_MONOTONIC, ns; 0: there is none, or one waits, or it is not known). */
+  _Atomic int64_t waiting;
+  _Atomic int64_t busy;
+  _Atomic uint32_t answered;     /* how many requests it has answered */
+  _Atomic uint32_t took[LATEST]; /* how long the last ones took (us); that of number n is at n % LATEST, the first is 0 */
+  uint32_t spare;
   char topic[NAME]; /* its full name; of a server or a client, that of the service */
 };
 

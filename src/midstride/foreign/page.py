@@ -32,6 +32,8 @@ CLIENTS: Final = 512
 # How many goals of its ROS actions, and requests to cancel many of them that are under way.
 GOALS: Final = 256
 ADDED: Final = 4
+# Of how many requests that a server has answered it is known how long each took.
+LATEST: Final = 8
 
 # What follows the name of a ROS action in that of its service which takes goals.
 SEND_GOAL: Final = "/_action/send_goal"
@@ -83,7 +85,11 @@ class PagePort(ctypes.Structure):
         ("half", c_uint32),
         ("node", c_uint32),
         ("number", c_uint32),
-        ("spare", c_uint32 * 14),
+        ("waiting", c_int64),
+        ("busy", c_int64),
+        ("answered", c_uint32),
+        ("took", c_uint32 * LATEST),
+        ("spare", c_uint32),
         ("topic", c_char * NAME),
     ]
 
@@ -416,6 +422,23 @@ class Page:
         """By full name, the services that the node ``index`` has now."""
         found = (port for port in self.every_port() if port.node == index + 1 and port.kind == SERVER)
         return {port.topic.decode(): port for port in found if port.endpoints}
+
+    def server(self, service: str, index: int | None = None, known: PagePort | None = None) -> PagePort | None:
+        """The server that answers the requests to a service (full name), of the node ``index`` if that is given.
+
+        ``known``: the one that it may still be. None where no node with a page answers.
+        """
+        name = service.encode()
+
+        def serves(port: PagePort) -> bool:
+            node = int(port.node) - 1
+            own = index in (None, node) and bool(port.endpoints)
+            return own and (port.kind, port.topic) == (SERVER, name) and not self.is_dead(node)
+
+        if known is not None and serves(known) and self.answering(known.node - 1) is None:
+            return known
+        found = [port for port in self.every_port() if port.kind == SERVER and serves(port)]
+        return min(found, key=lambda port: self.answering(port.node - 1) is not None, default=None)
 
     # -- requests of the manager to one node ----------------------------------------------------------
 

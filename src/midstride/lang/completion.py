@@ -127,9 +127,9 @@ class _CursorContext:
             yield "port", inputs
         elif first in {"produces", "guarantee"} and last in {"produces", "guarantee", ","} and component is not None:
             yield "port", [output.text for output in component.outputs]
-        elif first == "input" and last == "tolerates":
+        elif first in {"input", "client"} and last == "tolerates":
             return
-        elif first == "input" and self.statement[-2:-1] == ["tolerates"]:
+        elif first in {"input", "client"} and self.statement[-2:-1] == ["tolerates"]:
             yield "keyword", ("missed",)
         elif first == "run" and last == "gate":
             yield "keyword", GATES
@@ -149,6 +149,8 @@ class _CursorContext:
         else:
             if first == "input" and ":" in self.statement and "condition" not in self.statement:
                 yield "keyword", ("condition",) if "tolerates" in self.statement else ("condition", "tolerates")
+            if first == "client" and ":" in self.statement and "tolerates" not in self.statement:
+                yield "keyword", ("tolerates",)
             if first == "run" and last not in {"run", "stop"}:
                 yield "keyword", _RUN_CLAUSES
             if first == "output" and len(self.statement) > 1 and last != "lazy":

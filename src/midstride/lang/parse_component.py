@@ -161,8 +161,9 @@ class ComponentParser(ContractParser):
         self.layout.marks[self.i] = "input :"
         self.expect(":", f"after {words} `{name.text}`", ("name", "path"))
         contract = self.contract(f"for {words} `{name.text}`")
+        tolerated = self._tolerated() if self.accept_word("tolerates") else None
         self._own_topic(name, topics)
-        return syntax.InputDeclaration(name, contract, None, None, kind)
+        return syntax.InputDeclaration(name, contract, tolerated, None, kind)
 
     def _server(
         self, kind: ConnectorKind, topics: list[syntax.OwnTopic], served: list[syntax.ServerDeclaration]

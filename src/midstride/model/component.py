@@ -435,11 +435,22 @@ class ComponentSpec:
 
         ``modes``: the current mode of each functionality. None where no rate is stated.
         """
-        contract: Contract = self.inputs.get(port, NOTHING)
-        if (owner := self.find_owner(port)) is not None:
-            current = (mode.guarantee(port) for mode in owner.modes if mode.name == modes.get(owner.name))
-            contract = next(current, NOTHING)
+        contract = self._stated(port, modes)
         return contract.rate if isinstance(contract, Predicate) else None
+
+    def stated_bound(self, port: str, modes: Mapping[str, str]) -> float | None:
+        """The bound (s) that a client assumes, or that a server guarantees in the mode of its functionality.
+
+        ``modes``: the current mode of each functionality. None where no bound is stated.
+        """
+        contract = self._stated(port, modes)
+        return contract.within if isinstance(contract, Predicate) else None
+
+    def _stated(self, port: str, modes: Mapping[str, str]) -> Contract:
+        """What an input assumes, or an output guarantees in the mode of its functionality."""
+        if (owner := self.find_owner(port)) is not None:
+            return next((mode.guarantee(port) for mode in owner.modes if mode.name == modes.get(owner.name)), NOTHING)
+        return self.inputs.get(port, NOTHING)
 
     def ports(self) -> list[str]:
         """Every port, outputs first, in order of declaration."""

@@ -109,7 +109,13 @@ def component_rules(component: ComponentSpec, path: SubjectPath) -> Iterator[Pro
 def _tolerance(component: ComponentSpec, name: str, path: SubjectPath) -> Iterator[Problem]:
     missed, assumption = component.tolerates.get(name), component.inputs[name]
     yield from number_problems(missed, f"the number of missed messages that {name} tolerates", path, most=MAX_DEPTH)
-    if missed is not None and assumption.type and assumption.rate is None and assumption.qos.deadline is None:
+    kind, has_rate = assumption.kind, assumption.rate is not None or assumption.qos.deadline is not None
+    if missed is not None and kind != "topic" and assumption.within is None:
+        port = f"{KIND_WORDS[kind].input} {name}"
+        message = f"{port} tolerates {missed} missed requests, but assumes no bound, so none is ever missed"
+        help = f"state the bound that it assumes (`{BOUND_WORDS[kind]} within 0.1 s`), or leave out `tolerates`"
+        yield Problem("E004", path, message, help)
+    elif missed is not None and kind == "topic" and assumption.type and not has_rate:
         message = f"input {name} tolerates {missed} missed messages, but assumes no rate, so none is ever missed"
         yield Problem("E004", path, message, "state the rate that it assumes (`@ 10 Hz`), or leave out `tolerates`")
     if name in component.conditions and assumption.type and not assumption.fields:

@@ -180,6 +180,11 @@ class Configuration:
         guarantee = self.guarantee(output)
         return guarantee.rate if isinstance(guarantee, Predicate) else None
 
+    def bound(self, output: PortRef) -> float | None:
+        """The bound (s) within which a live server guarantees to respond now, if any."""
+        guarantee = self.guarantee(output)
+        return guarantee.within if isinstance(guarantee, Predicate) else None
+
     def topic(self, connector: str) -> str:
         return self.context.connectors[connector].topic
 

@@ -88,6 +88,39 @@ class Measured(WireValue, frozen=True, kw_only=True):
         return (self.rate or 0.0) >= (1 - RATE_TOLERANCE) * rate
 
 
+class Responses(WireValue, frozen=True, kw_only=True):
+    """What was seen of the server at one attachment, which has a bound of ``within`` (s).
+
+    It has ``answered`` so many of the requests that were looked at, ``late`` of these later than the bound.
+    ``longest``: the longest that one has taken since the last look (s), None where none was answered. ``silent``: for
+    how long it has not done what it should (s); ``broken`` says what that is once it is more than what is
+    ``tolerated`` (s), else None.
+    """
+
+    within: float
+    tolerated: float
+    answered: int = 0
+    late: int = 0
+    longest: float | None = None
+    silent: float = 0.0
+    broken: str | None = None
+
+    @property
+    def words(self) -> str:
+        """As ``has not answered a request for 0.3 s, 50 ms are promised``."""
+        return f"{self.broken} for {duration_in_words(self.silent)}, {self.promised}"
+
+    @property
+    def promised(self) -> str:
+        """As ``50 ms are promised``."""
+        return f"{duration_in_words(self.within)} are promised"
+
+
+def duration_in_words(seconds: float) -> str:
+    """As ``50 ms``, ``0.3 s``, ``12.5 s``: in ms below 0.1 s."""
+    return f"{seconds * 1e3:.3g} ms" if seconds < 0.1 else f"{seconds:.1f} s" if seconds >= 10 else f"{seconds:.2g} s"
+
+
 class FieldSamples(WireValue, frozen=True, kw_only=True):
     """Of ``checked`` messages, ``violations`` did not meet a constraint on a field: ``run`` since the last that met it.
 
@@ -112,6 +145,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     ``fenced``: its gate was closed although user code did not return, and nothing but lifting that opens it.
     ``inactive``: for how long in all, at most (s), an output of a lifecycle node that nothing else gates was silent
     since it was first handed to this one, because no node that writes it was active; None for any other.
+    ``responses``: of a server, or of a client, where a bound is stated and something measures it.
     """
 
     gate: GateState | None
@@ -121,6 +155,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     fields: dict[str, FieldSamples] = msgspec.field(default_factory=dict)
     fenced: bool = False
     inactive: float | None = None
+    responses: Responses | None = None
 
 
 class ComponentState(WireValue, frozen=True, kw_only=True):

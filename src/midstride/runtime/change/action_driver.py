@@ -34,6 +34,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import FEWEST_PERIODS, handover_seconds
 from midstride.plan.state_continuity import left_behind, without_outputs
 from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.cancellation import all_of
 from midstride.runtime.change.change_phases import ChangePhase
 from midstride.runtime.change.managed_nodes import require_unmanaged_at_its_end
 from midstride.runtime.change.mode_changes import ModeChanges
@@ -43,7 +44,13 @@ from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences, StepBudget
 from midstride.runtime.handover.live_handover import LiveHandover
 from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
-from midstride.runtime.handover.probation import WATCHED_WINDOW, WatchedOutput, watch_after
+from midstride.runtime.handover.probation import (
+    WATCHED_WINDOW,
+    WatchedOutput,
+    WatchedServer,
+    watch_after,
+    watch_servers_after,
+)
 from midstride.runtime.handover.state_moves import StateMoves
 from midstride.runtime.handover.state_transfers import STATE_TIMEOUT, StateTransfers, keeps_state, own_state
 from midstride.runtime.instance_life import ProcessEvent
@@ -541,15 +548,18 @@ class ActionDriver:
     async def watch(self, action: Action) -> None:
         """After a hand-over, watch the new publishers for as long as the specification says; the old ones stay warm.
 
-        Those of a brief change are watched for a while by default, until the next command waits. Raises StepFailed if
-        one breaks what it guarantees.
+        Those of a brief change are watched for a while by default, until the next command waits; servers only where the
+        specification says for how long. Raises StepFailed if one breaks what it guarantees.
         """
         if not isinstance(action, Handover):
             return
-        swaps = [swap for swap in action.swaps if self.configuration.is_topic(swap.connector)]
-        if not swaps:
-            return
         timing = self.change.target.timing
+        swaps = [swap for swap in action.swaps if self.configuration.is_topic(swap.connector)]
+        servers = [
+            WatchedServer(swap.new, self.configuration.topic(swap.connector))
+            for swap in action.swaps
+            if swap not in swaps and self.configuration.bound(swap.new) is not None
+        ]
         by_default = self.change.brief and "probation" not in timing and "watch_after" not in timing
         rates = {swap.new: self._rate(swap.new) for swap in swaps}
         seconds, shortest = handover_seconds(timing, "watch_after"), WATCHED_WINDOW
@@ -558,7 +568,7 @@ class ActionDriver:
             shortest = BRIEF_WINDOW
             windows = [max(shortest, FEWEST_PERIODS / rate) for rate in rates.values()]
             seconds = BRIEF_WATCH * max(windows, default=0.0)
-        if not seconds:
+        if not seconds or not (swaps or servers):
             return
         outputs = sorted(
             {
@@ -566,15 +576,31 @@ class ActionDriver:
                 for swap in swaps
             }
         )
-        self.events.add("watching", f"watching {', '.join(str(each.port) for each in outputs)} for {seconds:g} s")
-        slowest = max(stretch_of(self.client, each.port.instance) for each in outputs)
-        watching = asyncio.ensure_future(watch_after(self.client, outputs, seconds, slowest, shortest))
+        watched = ", ".join(map(str, [*(each.port for each in outputs), *(each.port for each in servers)]))
+        self.events.add("watching", f"watching {watched} for {seconds:g} s")
+        slowest = max((stretch_of(self.client, each.port.instance) for each in outputs), default=1.0)
+        watching = asyncio.ensure_future(self._watch_all(outputs, servers, seconds, slowest, shortest))
         try:
             await self._unless_hurried(watching, by_default)
         except StepFailed as error:
             if degradations := await self._own_degradations(action):
                 raise StepFailed("; ".join(degradations)) from error
             raise
+
+    async def _watch_all(
+        self,
+        outputs: Sequence[WatchedOutput],
+        servers: Sequence[WatchedServer],
+        seconds: float,
+        stretch: float,
+        shortest: float,
+    ) -> None:
+        await all_of(
+            [
+                watch_after(self.client, outputs, seconds, stretch, shortest),
+                watch_servers_after(self.client, servers, seconds),
+            ]
+        )
 
     def _rate(self, port: PortRef) -> float:
         """What an output guarantees (Hz), or 0."""

@@ -22,6 +22,7 @@ from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.simulated_time import stretch_of
 from midstride.wire.commands import AwaitRateCommand, AwaitWriteCommand, CountWritesCommand
 from midstride.wire.replies import RateVerdict
+from midstride.wire.state import Responses, duration_in_words
 
 # A rate is not watched after a cut over less than so long (s).
 WATCHED_WINDOW: Final = 1.0
@@ -38,6 +39,14 @@ CALLS: Final = 3
 CALLS_PATIENCE: Final = 0.5
 # An output is quiet if neither side has written anything for so long (s), and for as long as its rate is judged.
 QUIET: Final = 1.0
+
+# How often it is looked what a server has answered (s).
+SERVER_LOOK: Final = 0.2
+# A server breaks its bound by fewer of its responses within it, or by a request that waits for more than so many
+# bounds, and at least so long (s): as an output breaks its rate.
+BROKEN_SHARE: Final = 0.8
+BROKEN_PERIODS: Final = 10.0
+BROKEN_PAUSE: Final = 1.0
 
 Passed: TypeAlias = Literal["writes", "quiet"]
 
@@ -252,6 +261,49 @@ async def watch_after(
             raise StepFailed(f"{port} was watched {after(output)}: {error}") from error
 
     await all_of(watch(output) for output in outputs)
+
+
+class WatchedServer(NamedTuple):
+    """A server that is watched: its port, and the name of its service or ROS action."""
+
+    port: PortRef
+    name: str
+
+
+async def watch_servers_after(client: ComponentClient, servers: Iterable[WatchedServer], seconds: float) -> None:
+    """Watch servers with a bound for ``seconds``, by what is reported of them; nothing is judged without a request.
+
+    As with a rate, the bound is broken by fewer than eight tenths of the responses in it, or by a request that waits
+    for more than ten bounds and 1 s. Raises StepFailed as soon as one of them breaks it, or has exited.
+    """
+
+    def seen(server: WatchedServer) -> Responses | None:
+        state = client.life.responsive(server.port.instance)
+        if state is None:
+            raise StepFailed(f"{server.port.instance} does not answer, or has exited, after the hand-over")
+        link = state.ports.get(server.port.port, {}).get(server.name)
+        return None if link is None else link.responses
+
+    async def watch(server: WatchedServer) -> None:
+        before, deadline = seen(server), client.clock.steady() + seconds
+        while (left := deadline - client.clock.steady()) > 0:
+            await client.clock.sleep(min(left, SERVER_LOOK))
+            now = seen(server)
+            if now is None:
+                continue
+            answered, late = now.answered, now.late
+            if before is not None and before.answered <= answered:
+                answered, late = answered - before.answered, late - before.late
+            if now.silent > max(BROKEN_PERIODS * now.within, BROKEN_PAUSE):
+                words = f"has not answered for {duration_in_words(now.silent)}"
+            elif answered >= FEWEST_PERIODS and late > (1 - BROKEN_SHARE) * answered + 1:
+                longest = "" if now.longest is None else f" (in up to {duration_in_words(now.longest)})"
+                words = f"has answered {late} of {answered} requests late{longest}"
+            else:
+                continue
+            raise StepFailed(f"{server.port} {words} on {server.name} after the hand-over: {now.promised}")
+
+    await all_of(watch(server) for server in servers)
 
 
 def _words(port: PortRef, rate: float, window: float, verdict: RateVerdict) -> str:

@@ -16,7 +16,9 @@ from midstride.verdicts import SystemCondition
 
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
 UnixTime: TypeAlias = Annotated[float, Meta(description="seconds since 1970")]
-SilenceKind: TypeAlias = Literal["not_answering", "not_discovering", "not_publishing", "not_receiving"]
+SilenceKind: TypeAlias = Literal[
+    "not_answering", "not_discovering", "not_publishing", "not_receiving", "not_responding"
+]
 
 
 class SilenceFault(Report, frozen=True, kw_only=True):

@@ -291,7 +291,10 @@ def _inputs(configuration: Configuration, ref: FunctionalityRef, assumption: Ass
 
 def _receives(assumption: Predicate, links: Collection[LinkState], condition: bool) -> bool:
     """Whether one of the attachments has kept the rate, and constraints on fields; as the local reflex, nothing is
-    concluded of one that has never received anything, nor of an input without a rate, unless it is a condition."""
+    concluded of one that has never received anything, nor of an input without a rate, unless it is a condition.
+    Of a client, whether its server does not break its bound."""
+    if any(link.responses is not None and link.responses.broken for link in links):
+        return False
     deadline = assumption.qos.deadline
     rate = 1 / deadline if assumption.rate is None and deadline else assumption.rate
     received = [link for link in links if link.count]

@@ -1,5 +1,7 @@
 """Prolonged silence of a component that should answer, an output that should publish, or an input that should receive.
 
+A server that breaks its bound is one of them, as its component reports.
+
 Components report the counts of their ports twice a second, and the monitor compares the reports over time. What it
 finds are faults of the running system: they are part of the status, of the events, and of the outcome of a change
 during which they began (docs/protocols/faults.md).
@@ -35,6 +37,7 @@ _ENDED: Final = {
     "not_discovering": "{0.instance} discovers endpoints again",
     "not_publishing": "{0.port} publishes on {0.topic} again",
     "not_receiving": "{0.port} receives messages on {0.topic} again",
+    "not_responding": "{0.port} answers requests on {0.topic} in time again",
 }
 
 
@@ -94,6 +97,8 @@ class SilenceMonitor:
             known = links.get(port)
             # While simulated time stands still, nothing is due on it.
             free = fresh or (state.clock_speed == 0 and link.gate is not None)
+            if known is not None and link.responses is not None:
+                known.state = link
             if known is None or free or (known.state.gate, known.state.count) != (link.gate, link.count):
                 passed = -math.inf if known is None else known.passed
                 if known is not None and link.count > known.state.count:
@@ -139,7 +144,7 @@ class SilenceMonitor:
         """
         if any((each.kind, each.instance, each.port) == (fault.kind, fault.instance, fault.port) for each in now):
             return False  # in other words
-        if fault.port is None:
+        if fault.port is None or fault.kind == "not_responding":
             return self.life.responsive(fault.instance) is not None
         links = self._links.get(fault.topic or "", {}).items()
         return any(str(port) == fault.port and link.passed > self._judged for port, link in links)
@@ -188,7 +193,10 @@ class SilenceMonitor:
             link = self._links.get(topic, {}).get(port)
             if link is None:
                 continue
-            if link.state.gate == "open":
+            if link.state.gate == "open" and (found := link.state.responses) is not None and found.broken:
+                words = f"{port} {found.broken} on {topic}, although {found.promised}"
+                yield _port_fault("not_responding", port, topic, found.silent, words)
+            elif link.state.gate == "open":
                 lazy = port.port in configuration.component(instance).lazy
                 if lazy and not configuration.subscribers_on(connector):
                     continue  # it need not exist

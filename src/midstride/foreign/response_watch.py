@@ -1,0 +1,111 @@
+"""Whether a server of a node without Midstride's API keeps its bound, by what the preloaded library has seen of it.
+
+docs/protocols/foreign.md. A request has missed the bound when it is answered late, or is not answered although the
+bound is over; what is tolerated is stated in missed requests, as for messages, and counts as so many bounds of time.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from midstride.foreign.page import LATEST, PagePort
+from midstride.node.control.shortfall import LONG_FLOOR, TOLERATED
+from midstride.wire.state import Responses
+
+# A process whose helper thread has not looked for so long is stopped (s): it looks ten times a second.
+STOPPED: Final = 3.0
+_WRAP: Final = 2**32
+
+
+class ResponseWatch:
+    """Watches one server for a bound of ``within`` (s). ``missed``: how many requests may miss it in succession.
+
+    Where that is not stated, they are as many as messages of a topic, and no less than 5 s. Times are of
+    CLOCK_MONOTONIC, in ns.
+    """
+
+    def __init__(self, within: float, missed: int | None = None) -> None:
+        self.within = within
+        self._missed = TOLERATED if missed is None else missed
+        self.tolerated = max((self._missed + 1) * within, LONG_FLOOR if missed is None else 0.0)
+        self._known: tuple[int, int] | None = None  # the server that it has looked at last: its node and process
+        self._restart()
+
+    def _restart(self) -> None:
+        self._answered: int | None = None
+        self._kept = 0  # when it was last known to keep the bound
+        self._late_since = self._late_at = (
+            0  # when the first late request in succession came, and the last was answered
+        )
+        self._lates = 0  # how many they are
+        self._beat, self._beat_at = -1, 0
+        self.answered = self.late = 0
+        self._longest: float | None = None
+        self._silent: tuple[str, float] | None = None
+
+    def look(self, server: PagePort | None, process: int, beat: int, now: int) -> None:
+        """See what ``server`` has done since the last look; None: there is none. ``beat``: of its process."""
+        known = None if server is None else (int(server.node), process)
+        if known != self._known:
+            self._known = known
+            self._restart()
+        if server is None:
+            return
+        self._see_responses(server, now)
+        if beat != self._beat:
+            self._beat, self._beat_at = beat, now
+        self._silent = self._silence(server, now)
+
+    def _see_responses(self, server: PagePort, now: int) -> None:
+        answered = int(server.answered)
+        new = 0 if self._answered is None else (answered - self._answered) % _WRAP
+        self._answered, self._longest = answered, None
+        for number in range(answered - min(new, LATEST), answered):
+            took = server.took[number % LATEST] / 1e6
+            self.answered += 1
+            self._longest = max(took, self._longest or 0.0)
+            if took <= self.within:
+                self._kept, self._lates = now, 0
+                continue
+            self.late += 1
+            self._late_since = self._late_since if self._lates else now - int(took * 1e9)
+            self._lates, self._late_at = self._lates + 1, now
+
+    def _silence(self, server: PagePort, now: int) -> tuple[str, float] | None:
+        """What the server does not do, in words, and for how long (s); None where it does.
+
+        One request that is never answered is one that has missed the bound: where others are answered in time, it is no
+        silence.
+        """
+        found = []
+        if server.waiting:
+            found.append((max(int(server.waiting), self._kept), "has not answered a request"))
+        if server.busy:
+            found.append((max(int(server.busy), self._kept), "has not waited for requests"))
+        if now - self._beat_at > STOPPED * 1e9:
+            found.append((self._beat_at, "has not run"))
+        if self._lates > self._missed and now - self._late_at <= self.tolerated * 1e9:
+            found.append((self._late_since, "has answered late"))
+        if not found:
+            return None
+        since, words = min(found)
+        return words, max(0, now - since) / 1e9
+
+    @property
+    def broken(self) -> bool:
+        """Whether it breaks the bound."""
+        return self._silent is not None and self._silent[1] > self.tolerated
+
+    @property
+    def responses(self) -> Responses:
+        """What has been seen of it, to report."""
+        words, silent = self._silent or (None, 0.0)
+        return Responses(
+            within=self.within,
+            tolerated=self.tolerated,
+            answered=self.answered,
+            late=self.late,
+            longest=self._longest,
+            silent=silent,
+            broken=words if self.broken else None,
+        )
