@@ -26,7 +26,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.wire.commands import AwaitRateCommand
 from midstride.wire.replies import RateVerdict
-from midstride.wire.state import ComponentState, LinkState, Responses
+from midstride.wire.state import ComponentState, LinkState, MeasuredResponses
 from tests.model import build
 from tests.runtime.counting import Reader, at_rates, counting, exchanged, for_messages, settle, system
 from tests.runtime.scripted import Bench, bench, talking
@@ -255,7 +255,7 @@ def test_what_is_watched_on_a_slow_clock_is_watched_for_longer(tmp_path: Path) -
     bench(talking(), tmp_path, body)
 
 
-def serving(responses: Responses) -> ComponentState:
+def serving(responses: MeasuredResponses) -> ComponentState:
     return ComponentState(
         instance="server_2",
         uuid="1",
@@ -283,12 +283,12 @@ def test_a_new_server_is_watched_by_its_bound(seen: dict[str, float], because: s
     before = {"within": 0.2, "tolerated": 5.0, "answered": 10, "late": 5}
 
     async def body(b: Bench) -> None:
-        b.client.states["server_2"] = serving(Responses(**before))  # type: ignore[arg-type]
+        b.client.states["server_2"] = serving(MeasuredResponses(**before))  # type: ignore[arg-type]
         watched = [WatchedServer(build.port("server_2.map"), "/map")]
         watching = asyncio.ensure_future(watch_servers_after(b.client, watched, 5.0))
         begun = b.clock.steady()
         await asyncio.sleep(1.0)
-        b.client.states["server_2"] = serving(Responses(**{**before, **seen}))  # type: ignore[arg-type]
+        b.client.states["server_2"] = serving(MeasuredResponses(**{**before, **seen}))  # type: ignore[arg-type]
         if because is None:
             await watching
             assert b.clock.steady() - begun == pytest.approx(5.0)

@@ -29,7 +29,7 @@ from midstride.wire.state import (
     FunctionalityState,
     LinkState,
     Measured,
-    Responses,
+    MeasuredResponses,
 )
 from tests.planting import plant
 from tests.runtime.systems import request
@@ -468,10 +468,10 @@ def test_the_best_mode_is_restored_whose_inputs_are_back(left: LinkState, right:
 
 def test_a_client_whose_server_breaks_its_bound_is_not_restored() -> None:
     configuration = initial(decode_specification(CAMERAS)).with_modes({PILOT: 3})
-    kept = Responses(within=0.05, tolerated=5.0, silent=1.0)
+    kept = MeasuredResponses(within=0.05, tolerated=5.0, silent=1.0)
     broken = structs.replace(kept, silent=6.0, broken="has not answered a request")
 
-    def lacks(responses: Responses) -> list[str]:
+    def lacks(responses: MeasuredResponses) -> list[str]:
         left = LinkState(gate=None, count=0, responses=responses)
         return list(lacking(configuration, PILOT, 0, reported(left, GOOD)))
 

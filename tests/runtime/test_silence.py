@@ -14,7 +14,7 @@ from midstride.backends.simulator import Simulator
 from midstride.model.component import PortRef
 from midstride.runtime.manager import Manager
 from midstride.runtime.watch.silence import PORT_SILENCE, SILENT_PERIODS, SilenceMonitor
-from midstride.wire.state import LinkState, Responses
+from midstride.wire.state import LinkState, MeasuredResponses
 from tests.model.build import work
 from tests.runtime.scripted import Bench, bench, reported, talking
 from tests.runtime.systems import managed, replace
@@ -29,7 +29,7 @@ class Reports:
         self.counts = {"talker": 0, "listener": 0}
         self.gate: Any = "open"
         self.changed: dict[str, Any] = {}
-        self.responses: Responses | None = None  # of a server, if the port is one
+        self.responses: MeasuredResponses | None = None  # of a server, if the port is one
 
     async def half_seconds(self, count: int, *, talker: int = 5, listener: int = 5, silent: str | None = None) -> None:
         """``talker`` messages are published and ``listener`` received in each."""
@@ -116,7 +116,7 @@ def test_an_output_that_publishes_nothing_although_its_mode_guarantees_a_rate_is
 
 def test_a_server_that_breaks_its_bound_is_a_fault_until_it_does_not(tmp_path: Path) -> None:
     async def body(r: Reports) -> None:
-        r.responses = Responses(within=0.05, tolerated=5.0, silent=4.0)
+        r.responses = MeasuredResponses(within=0.05, tolerated=5.0, silent=4.0)
         await r.half_seconds(4, talker=0, listener=0)
         assert r.kinds() == []
         r.responses = structs.replace(r.responses, silent=5.5, broken="has not answered a request")

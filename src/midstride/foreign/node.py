@@ -29,7 +29,7 @@ from midstride.wire.state import (
     GateState,
     LinkState,
     Measured,
-    Responses,
+    MeasuredResponses,
     UndeclaredTopic,
 )
 
@@ -207,7 +207,7 @@ class ForeignNode:
             return "open" if self.record.links[port] == "open" and self.answers else "closed"
         return "open" if self.record.links[port] == "open" and (not self.gates or self.gates.has_it(port)) else "closed"
 
-    def responses(self, port: str) -> Responses | None:
+    def responses(self, port: str) -> MeasuredResponses | None:
         """What is seen of the server at an attached server or client; None where no bound is stated, or nothing is.
 
         In simulated time nothing is: a server may wait for ``/clock``.

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Final
 
 from midstride.foreign.page import LATEST, PagePort
-from midstride.node.control.shortfall import LONG_FLOOR, TOLERATED
-from midstride.wire.state import Responses
+from midstride.node.control.shortfall import LONG_FLOOR, tolerated_periods
+from midstride.wire.state import MeasuredResponses
 
 # A process whose helper thread has not looked for so long is stopped (s): it looks ten times a second.
 STOPPED: Final = 3.0
@@ -26,8 +26,8 @@ class ResponseWatch:
 
     def __init__(self, within: float, missed: int | None = None) -> None:
         self.within = within
-        self._missed = TOLERATED if missed is None else missed
-        self.tolerated = max((self._missed + 1) * within, LONG_FLOOR if missed is None else 0.0)
+        self._missed = tolerated_periods(1 / within, missed, 0.0) - 1
+        self.tolerated = tolerated_periods(1 / within, missed, LONG_FLOOR if missed is None else 0.0) * within
         self._known: tuple[int, int] | None = None  # the server that it has looked at last: its node and process
         self._restart()
 
@@ -97,10 +97,10 @@ class ResponseWatch:
         return self._silent is not None and self._silent[1] > self.tolerated
 
     @property
-    def responses(self) -> Responses:
+    def responses(self) -> MeasuredResponses:
         """What has been seen of it, to report."""
         words, silent = self._silent or (None, 0.0)
-        return Responses(
+        return MeasuredResponses(
             within=self.within,
             tolerated=self.tolerated,
             answered=self.answered,

@@ -9,15 +9,15 @@ are the two ends of a connection. Nothing here uses ROS.
 
 PUBLIC = (
     "AnswerCommand AwaitIdleCommand AwaitMatchCommand AwaitRateCommand AwaitWriteCommand COMPONENTS Channel "
-    "ClockMoment Command CommandHandler CommandServer ComponentReport ComponentState Connection "
-    "CountWritesCommand CutClaim CutClock CutInCommand CutOutCommand CutOutcome CutResult CutSwap DiscoverCommand "
-    "ENV_BACKEND ENV_CONTROL ENV_DIAGNOSTICS ENV_INSTANCE ENV_NAMESPACE ENV_NODE ENV_PARAMETERS "
-    "ENV_SET_PARAMETERS ENV_SHARED_NAME ENV_STANDBY ENV_START ENV_SYSTEM ENV_TOKEN Endpoint FenceCommand "
-    "FieldSamples FileFingerprint FunctionalityState GateCommand GateState Greeting Grid GridCommand LastWrite "
-    "LinkState MEMORY Measured MovedState MuteCommand NOT_WELCOMED ObserveCommand PipeClaim PipeEnd PipeNetwork "
+    "ClockMoment Command CommandHandler CommandServer ComponentReport ComponentState Connection CountWritesCommand "
+    "CutClaim CutClock CutInCommand CutOutCommand CutOutcome CutResult CutSwap DiscoverCommand ENV_BACKEND "
+    "ENV_CONTROL ENV_DIAGNOSTICS ENV_INSTANCE ENV_NAMESPACE ENV_NODE ENV_PARAMETERS ENV_SET_PARAMETERS "
+    "ENV_SHARED_NAME ENV_STANDBY ENV_START ENV_SYSTEM ENV_TOKEN Endpoint FenceCommand FieldSamples FileFingerprint "
+    "FunctionalityState GateCommand GateState Greeting Grid GridCommand LastWrite LinkState MEMORY Measured "
+    "MeasuredResponses MovedState MuteCommand NOT_WELCOMED ObserveCommand PipeClaim PipeEnd PipeNetwork "
     "PrepareStateCommand Program ProgramCommand RATE_TOLERANCE RateVerdict Receipt RecordCommand Records "
     "RecordsCommand Registration ReleaseCommand Reply Request ResolveCutsCommand Serve SetParametersCommand "
     "ShareSlotCommand SharedSlotPlace SharedSlotPort SocketFolder StateTransfer StopListening THIS_HOST Transport "
-    "TriggerKind UndeclaredTopic WelcomeCommand WireValue commands environment files_named frames open_socket "
-    "replies result_of workspace_folder workspace_root"
+    "TriggerKind UndeclaredTopic WelcomeCommand WireValue commands duration_in_words environment files_named frames "
+    "open_socket replies result_of workspace_folder workspace_root"
 )

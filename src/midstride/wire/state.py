@@ -88,7 +88,7 @@ class Measured(WireValue, frozen=True, kw_only=True):
         return (self.rate or 0.0) >= (1 - RATE_TOLERANCE) * rate
 
 
-class Responses(WireValue, frozen=True, kw_only=True):
+class MeasuredResponses(WireValue, frozen=True, kw_only=True):
     """What was seen of the server at one attachment, which has a bound of ``within`` (s).
 
     It has ``answered`` so many of the requests that were looked at, ``late`` of these later than the bound.
@@ -155,7 +155,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     fields: dict[str, FieldSamples] = msgspec.field(default_factory=dict)
     fenced: bool = False
     inactive: float | None = None
-    responses: Responses | None = None
+    responses: MeasuredResponses | None = None
 
 
 class ComponentState(WireValue, frozen=True, kw_only=True):

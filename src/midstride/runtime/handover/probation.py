@@ -22,7 +22,7 @@ from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.simulated_time import stretch_of
 from midstride.wire.commands import AwaitRateCommand, AwaitWriteCommand, CountWritesCommand
 from midstride.wire.replies import RateVerdict
-from midstride.wire.state import Responses, duration_in_words
+from midstride.wire.state import MeasuredResponses, duration_in_words
 
 # A rate is not watched after a cut over less than so long (s).
 WATCHED_WINDOW: Final = 1.0
@@ -277,7 +277,7 @@ async def watch_servers_after(client: ComponentClient, servers: Iterable[Watched
     for more than ten bounds and 1 s. Raises StepFailed as soon as one of them breaks it, or has exited.
     """
 
-    def seen(server: WatchedServer) -> Responses | None:
+    def seen(server: WatchedServer) -> MeasuredResponses | None:
         state = client.life.responsive(server.port.instance)
         if state is None:
             raise StepFailed(f"{server.port.instance} does not answer, or has exited, after the hand-over")
