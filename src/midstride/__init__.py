@@ -22,12 +22,14 @@ if TYPE_CHECKING:
     from midstride.node.author.functionality import Functionality
     from midstride.node.author.modes import approximate
     from midstride.node.author.ports import Input, Output, any_of
-    from midstride.node.author.service_ports import ClientPort, ServerPort
+    from midstride.node.author.service_ports import ActionClientPort, ActionServerPort, ClientPort, ServerPort
     from midstride.wire.state import Measured
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "ActionClientPort",
+    "ActionServerPort",
     "ClientPort",
     "Component",
     "Functionality",
@@ -50,6 +52,8 @@ __all__ = [
 ]
 
 _HOMES = {
+    "ActionClientPort": "midstride.node.author.service_ports",
+    "ActionServerPort": "midstride.node.author.service_ports",
     "ClientPort": "midstride.node.author.service_ports",
     "Component": "midstride.node.author.component_class",
     "Functionality": "midstride.node.author.functionality",

@@ -51,7 +51,7 @@ class Service:
 
     destroy = retire
 
-    def call(self, request: Any) -> asyncio.Future[Any]:
+    def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> asyncio.Future[Any]:
         self.calls.append(asyncio.get_running_loop().create_future())
         return cast(asyncio.Future[Any], self.calls[-1])
 
@@ -97,6 +97,9 @@ class ServiceHost:
     def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> Service:
         self.made.append(Service(answer))
         return self.made[-1]
+
+    def create_action_client(self, name: str, type_: type, accepted: Callable[[Any], None]) -> Service:
+        return self.create_client(name, type_)
 
     def create_client(self, name: str, type_: type) -> Service:
         self.made.append(Service())
@@ -431,6 +434,80 @@ def test_requests_end_when_the_client_is_detached() -> None:
         with pytest.raises(Unanswered, match="was detached"):
             await call
         assert not client.attached
+
+    run(scenario())
+
+
+class Fibonacci:
+    """A ROS action's type, as rclpy has them."""
+
+    __module__ = "demo_msgs.action._fibonacci"
+    Goal = type("Goal", (), {})
+
+
+class Executing:
+    """An action server that runs, in the mode ``normal``, which serves, or ``off``."""
+
+    def __init__(self, function: Callable[[Any], Any], accepts: Callable[[Any], bool] | None = None) -> None:
+        self.host = ServiceHost()
+        comp = Component("Server")
+        self.port = comp.create_action_server("count", Fibonacci, function, 0.5, accepts)
+        work = comp.create_functionality("work", outputs=[self.port])
+        work.set_normal_mode(nothing, outputs=[self.port])
+        work.set_degraded_mode(nothing, name="off")
+        assert comp.declaration().functionalities["work"].modes[0].guarantee("count") == Predicate(
+            "demo_msgs/action/Fibonacci", within=0.5
+        )
+        self.runner = FunctionalityRunner(work, self.host.host, lambda _: None)
+        self.port.failed, self.port.entered = self.runner.request_failed, lambda: self.runner.entered
+        self.runner.enter_mode(0, "a test")
+
+
+def test_goals_are_rejected_in_a_mode_that_does_not_serve_and_where_the_author_says_so() -> None:
+    one, choosy = Executing(lambda goal: "done"), Executing(lambda goal: "done", accepts=lambda goal: goal != "no")
+    assert one.port.accepts("any") and one.port.cancels("any")
+    assert choosy.port.accepts("yes") and not choosy.port.accepts("no")
+    one.runner.enter_mode(1, "a test")
+    assert not one.port.accepts("any") and one.port.stays
+
+
+def test_a_goal_whose_execution_raises_degrades_the_functionality() -> None:
+    async def scenario() -> None:
+        async def fails(goal: Any) -> Any:
+            assert served.port.under_way == 1
+            raise ValueError("no")
+
+        served = Executing(fails)
+        with pytest.raises(ValueError, match="no"):
+            await served.port.execute("goal")
+        assert served.runner.mode.name == "off" and served.port.under_way == 0
+        assert await Executing(lambda goal: "done").port.execute("goal") == "done"
+
+    run(scenario())
+
+
+def test_the_result_of_a_goal_ends_with_its_server_and_has_no_bound() -> None:
+    async def scenario() -> None:
+        host = ServiceHost()
+        client = Component("Client").create_action_client("count", Fibonacci, within=0.1)
+        client.links = (ClientLink(client, "/count", host.host),)
+        client.begin(host.host)
+        client.look()
+        sent = client.send_goal_async(Fibonacci.Goal())
+        result: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        handle = SimpleNamespace(accepted=True, get_result_async=lambda: result)
+        client._note_accepted(handle)
+        sent.set_result(handle)
+        asked = handle.get_result_async()
+        await asyncio.sleep(0)
+        assert looked(client, host, 100.0) is None
+        host.made[0].there = False
+        looked(client, host, 101.0)
+        assert looked(client, host, 102.0) == "client count: /count has had no server for 1 s"
+        with pytest.raises(Unanswered):
+            await asked
+        with pytest.raises(NodeError, match=r"action client count sends goals; write count.send_goal_async"):
+            client.call_async(Fibonacci.Goal())
 
     run(scenario())
 

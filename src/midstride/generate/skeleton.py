@@ -48,9 +48,7 @@ def skeleton(component: ComponentSpec, node: str, environment: tuple[Environment
     Raises SpecificationError if no mode states the type of an output, or if it has ROS actions.
     """
     if actions := [port for port in component.service_ports() if component.kind_of(port) == "action"]:
-        raise SpecificationError(
-            f"the ROS actions of {component.name} ({', '.join(actions)}) cannot be ports of Midstride's API yet"
-        )
+        raise SpecificationError(f"the ROS actions of {component.name} ({', '.join(actions)}) cannot be generated yet")
     name = f"{component.name}Node" if component.name in _IMPORTED else component.name
     return _Builder(component, environment, Skeleton(name, node)).build()
 

@@ -295,16 +295,18 @@ MODEL: Final = (
         "E027: gate that cannot work",
         """A component with a `gate`, whose program does not use Midstride's API, has no `run` command, an input that is
         a `condition`, or a mode between the first and the last that sets no parameter; with `gate lifecycle`, it has
-        several functionalities; with `gate relay`, an output for which no mode states a type, a server or a client;
-        without a `gate`, a server or client of a ROS action; its node attaches a port to several topics; or a component
-        without a `gate` has a name for the topic of a port (`as`), a mode with parameters, a `lazy` output, or states
-        how it is ended (`stop`); or one that cannot be a lifecycle node states how long it may take to `activate`; or a
-        lifecycle manager of the system, such as Nav2's, has a node in its `node_names` that has `gate lifecycle`, so
-        that two would manage it. A parameter of a mode is declared in the component, with a value of the same type, and
-        belongs to the modes of one functionality.""",
+        several functionalities; with `gate relay`, an output for which no mode states a type, a server or a client; its
+        node attaches a port to several topics; or a component without a `gate` has a name for the topic of a port
+        (`as`), a mode with parameters, a `lazy` output, or states how it is ended (`stop`); or one that cannot be a
+        lifecycle node states how long it may take to `activate`; or a lifecycle manager of the system, such as Nav2's,
+        has a node in its `node_names` that has `gate lifecycle`, so that two would manage it. A parameter of a mode is
+        declared in the component, with a value of the same type, and belongs to the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
-        STARTED.replace("output out", "output out\n  action client dock : demo_msgs/action/Dock") + NODE,
+        STARTED.replace('talker"', 'talker" gate relay').replace(
+            "output out", "output out\n  client reset : std_srvs/srv/Trigger"
+        )
+        + NODE,
         STARTED.replace('talker"', 'talker" gate preload').replace("mode silent", "mode quiet { }\n    mode silent")
         + NODE,
         STARTED.replace('talker"', 'talker" gate lifecycle').replace(

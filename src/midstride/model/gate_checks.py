@@ -73,23 +73,15 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
 
 
 def _services(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
-    """Yield the servers and clients that cannot be ports of a program of this kind."""
-    if component.run is None or component.gate not in (None, "relay"):
+    """Yield the servers and clients of a program behind a relay, which passes on messages only."""
+    if component.run is None or component.gate != "relay":
         return
     for port in component.service_ports():
-        kind = component.kind_of(port)
-        if component.gate is None and kind == "service":
-            continue
-        words = KIND_WORDS[kind]
+        words = KIND_WORDS[component.kind_of(port)]
         output = component.has_output(port)
         where = (*path, "outputs", str(component.outputs.index(port))) if output else (*path, "inputs", port)
-        why = (
-            "`gate relay`, which passes messages on"
-            if component.gate
-            else "Midstride's API, which has no ports for actions"
-        )
         what = f"{words.output if output else words.input} {port}"
-        message = f"{what} cannot be declared yet: {component.name} uses {why}"
+        message = f"{what} cannot be declared yet: {component.name} uses `gate relay`, which passes messages on"
         help = 'state another gate (`run "…" gate preload`), or omit it and state `allows`'
         yield Problem(_CODE, where, message, help)
 

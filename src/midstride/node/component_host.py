@@ -83,8 +83,8 @@ class ServedService(Protocol):
 class CalledService(Protocol):
     """A client's side of a service. Used on the data thread, except where stated."""
 
-    def call(self, request: Any) -> Any:
-        """Send ``request``; the platform's future of the response."""
+    def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
+        """Send ``request``; the platform's future of the response. Of a ROS action, a goal and its handle."""
 
     def abandon(self, future: Any, error: Exception) -> None:
         """Wait for this response no longer: the future ends with ``error``."""
@@ -93,6 +93,16 @@ class CalledService(Protocol):
         """1 where the graph shows a server, else 0. On the control thread."""
 
     def destroy(self) -> None: ...
+
+
+class GoalAnswers(Protocol):
+    """What an action server does with goals."""
+
+    def accepts(self, goal: Any) -> bool: ...
+
+    def cancels(self, goal: Any) -> bool: ...
+
+    async def execute(self, goal: Any) -> Any: ...
 
 
 class Timer(Protocol):
@@ -226,6 +236,15 @@ class Host(Protocol):
 
     def create_client(self, name: str, type_: type) -> CalledService:
         """Raises NodeError where there are no services."""
+
+    def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> ServedService:
+        """Raises NodeError where there are no ROS actions."""
+
+    def create_action_client(self, name: str, type_: type, accepted: Callable[[Any], None]) -> CalledService:
+        """``accepted`` is called with the handle of each accepted goal, before the future of it is done.
+
+        Raises NodeError where there are no ROS actions.
+        """
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Timer:
         """``callback(first, last)``: the nominal times (ns) of the slots that the call accounts for.

@@ -34,7 +34,7 @@ from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
 from midstride.model.instance_names import full_name, split_name
 from midstride.node.clock_history import ClockHistory
-from midstride.node.component_host import MessageInfo
+from midstride.node.component_host import GoalAnswers, MessageInfo
 from midstride.node.diagnostic_status import DiagnosticEntry
 from midstride.node.process_context import find
 from midstride.node.request_admission import RequestAdmission
@@ -141,6 +141,12 @@ class Ros1Host:
 
     def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> NoReturn:
         raise NodeError(f"{name}: ROS 1 has no services as ports")
+
+    def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> NoReturn:
+        raise NodeError(f"{name}: ROS 1 has no ROS actions as ports")
+
+    def create_action_client(self, name: str, type_: type, accepted: Callable[[Any], None]) -> NoReturn:
+        raise NodeError(f"{name}: ROS 1 has no ROS actions as ports")
 
     def create_client(self, name: str, type_: type) -> NoReturn:
         raise NodeError(f"{name}: ROS 1 has no services as ports")

@@ -18,7 +18,7 @@ from midstride.errors import NodeError
 from midstride.model.contract import QoS
 from midstride.node.author.declared_contracts import type_name
 from midstride.node.clock_history import ClockHistory
-from midstride.node.component_host import MessageInfo, NodeParameters
+from midstride.node.component_host import GoalAnswers, MessageInfo, NodeParameters
 from midstride.node.diagnostic_status import DiagnosticEntry
 from midstride.node.process_context import find
 from midstride.node.request_admission import RequestAdmission
@@ -121,6 +121,12 @@ class SimulatedHost:
 
     def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> NoReturn:
         raise NodeError(f"{name}: the simulator has no services as ports")
+
+    def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> NoReturn:
+        raise NodeError(f"{name}: the simulator has no ROS actions as ports")
+
+    def create_action_client(self, name: str, type_: type, accepted: Callable[[Any], None]) -> NoReturn:
+        raise NodeError(f"{name}: the simulator has no ROS actions as ports")
 
     def create_client(self, name: str, type_: type) -> NoReturn:
         raise NodeError(f"{name}: the simulator has no services as ports")

@@ -23,7 +23,15 @@ from midstride.node.author.declared_parameters import Parameter, check_parameter
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import listed
 from midstride.node.author.ports import Input, Output
-from midstride.node.author.service_ports import ClientPort, RequestFunction, ServerPort, check_service, check_within
+from midstride.node.author.service_ports import (
+    ActionClientPort,
+    ActionServerPort,
+    ClientPort,
+    RequestFunction,
+    ServerPort,
+    check_service,
+    check_within,
+)
 from midstride.node.control.component_agent import Agent
 from midstride.node.loaded_program import ProgramFiles
 from midstride.node.process_context import find, host_factory
@@ -149,6 +157,42 @@ class Component:
         """
         where = f"client {self._new_port(name)}"
         client = ClientPort(name, check_service(type, where), check_within(within, where))
+        self._parts.inputs[name] = client
+        return client
+
+    def create_action_server(
+        self,
+        name: str,
+        type: type,
+        function: Callable[[Any], Any],
+        within: float | None = None,
+        accepts: Callable[[Any], bool] | None = None,
+        cancels: Callable[[Any], bool] | None = None,
+    ) -> ActionServerPort:
+        """A server of a ROS action, on ROS 2, as :meth:`create_server` is one of a service.
+
+        ``function(goal)`` executes an accepted goal, which is rclpy's handle of it, and returns the result. It should
+        be async: it runs on the thread of the modes. If it raises, the goal is aborted, and its functionality goes to
+        its degraded mode. Goals are rejected in modes that do not serve, and if ``accepts(goal_request)`` is False;
+        ``cancels(goal)``: whether a goal may be cancelled (None: always). Goals in progress go on when the mode
+        changes. ``within`` is the bound within which a goal is accepted or rejected (s). Raises NodeError.
+        """
+        where = f"action server {self._new_port(name)}"
+        action, bound = check_service(type, where, "action"), check_within(within, where)
+        for each in (function, accepts, cancels):
+            if each is not None and not callable(each):
+                raise NodeError(f"{where}: {each!r} is not a function; it is called with a goal")
+        server = ActionServerPort(name, action, function, bound, accepts, cancels)
+        self._parts.outputs[name] = server
+        return server
+
+    def create_action_client(self, name: str, type: type, within: float | None = None) -> ActionClientPort:
+        """A client of a ROS action, on ROS 2, as :meth:`create_client` is one of a service.
+
+        ``within`` is the bound within which a goal must be accepted or rejected (s). Raises NodeError.
+        """
+        where = f"action client {self._new_port(name)}"
+        client = ActionClientPort(name, check_service(type, where, "action"), check_within(within, where))
         self._parts.inputs[name] = client
         return client
 

@@ -136,14 +136,20 @@ def type_name(type_: type, where: str = "message type", kind: str = "msg") -> st
     parts = type_.__module__.split(".")  # ROS 2: std_msgs.msg._string
     if len(parts) >= 2 and parts[1] == kind:
         return f"{parts[0]}/{kind}/{type_.__name__}"
-    what, example = _CLASSES[kind]
-    raise NodeError(f"{where}: {type_.__name__} is not {what}; write e.g. `from {example}`")
+    raise NodeError(f"{where}: {type_.__name__} is not {class_of(kind)}")
 
 
 _CLASSES: Final = {
     "msg": ("a ROS message class", "std_msgs.msg import String"),
     "srv": ("the class of a service", "std_srvs.srv import Trigger"),
+    "action": ("the class of a ROS action", "nav2_msgs.action import NavigateToPose"),
 }
+
+
+def class_of(kind: str) -> str:
+    """Return what the class of a type of that folder is, and an example."""
+    what, example = _CLASSES[kind]
+    return f"{what}; write e.g. `from {example}`"
 
 
 def field_constraints(

@@ -1,4 +1,4 @@
-"""Servers and clients of services: a server is an output that answers requests, a client an input that sends them.
+"""Servers and clients of services and ROS actions: outputs that answer requests, and inputs that send them.
 
 A server has a service in the ROS graph while the mode of its functionality serves, and only then, unless it refuses in
 the other modes. Which instance of a role answers a request is decided below, for all services of the node alike
@@ -9,13 +9,15 @@ the other modes. Which instance of a role answers a request is decided below, fo
 from __future__ import annotations
 
 import asyncio
+import inspect
 import itertools
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, ClassVar, Final, NamedTuple, TypeAlias
 
 from midstride.errors import NodeError, Unanswered
-from midstride.model.contract import DEFAULT_QOS, Predicate, format_number
-from midstride.node.author.declared_contracts import Guarantee, check_seconds, type_name
+from midstride.model.contract import DEFAULT_QOS, Predicate, connector_kind, format_number
+from midstride.model.wording import KIND_WORDS
+from midstride.node.author.declared_contracts import Guarantee, check_seconds, class_of, type_name
 from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.ports import Input, InputLink, Output, OutputLink
 from midstride.node.component_host import CalledService, Host, ServedService
@@ -23,6 +25,9 @@ from midstride.wire.state import GateState, LinkState
 
 #: ``function(request, response)`` fills the response, and returns it or None. It may be async.
 RequestFunction: TypeAlias = Callable[[Any, Any], Any]
+
+# The class of what a client sends, as its type names it, by the folder of the type.
+REQUEST_OF: Final = {"srv": "Request", "action": "Goal"}
 
 # How long a server may be missing in the graph (s): one that has just been created is discovered later.
 ABSENT: Final = 0.5
@@ -32,15 +37,13 @@ NEVER_SEEN: Final = 5.0
 OVERDUE: Final = 2.0
 
 
-def check_service(type_: object, where: str) -> type:
-    """Return the class of a service of ROS 2. Raises NodeError for any other class."""
+def check_service(type_: object, where: str, kind: str = "srv") -> type:
+    """Return the class of a service or ROS action (``kind``) of ROS 2. Raises NodeError for any other class."""
     if hasattr(type_, "_request_class"):  # of ROS 1
         raise NodeError(f"{where}: only ROS 2 has services as ports; on ROS 1, create it in on_setup")
-    if not isinstance(type_, type) or not hasattr(type_, "Request"):
-        raise NodeError(
-            f"{where}: {type_!r} is not the class of a service; write e.g. `from std_srvs.srv import Trigger`"
-        )
-    type_name(type_, where, "srv")
+    if not isinstance(type_, type) or not hasattr(type_, REQUEST_OF[kind]):
+        raise NodeError(f"{where}: {type_!r} is not {class_of(kind)}")
+    type_name(type_, where, kind)
     return type_
 
 
@@ -85,10 +88,7 @@ class ServerLink(OutputLink):
     __slots__ = ("_answers", "service")
 
     def __init__(self, server: ServerPort, topic: str, host: Host) -> None:
-        def make() -> ServedService:
-            return host.create_server(topic, server.type, server.answer)
-
-        self.service = _ServerEndpoint(make)
+        self.service = _ServerEndpoint(lambda: server.make(host, topic))
         super().__init__(server, topic, self.service, MessageTimes(host.now))
         self._answers = host.admission
 
@@ -108,6 +108,8 @@ class ServerLink(OutputLink):
 class ServerPort(Output):
     """A server of a service. Created by ``Component.create_server``."""
 
+    kind: ClassVar = "srv"
+
     def __init__(
         self, name: str, type_: type, function: RequestFunction, within: float | None, refusal: RequestFunction | None
     ) -> None:
@@ -121,7 +123,16 @@ class ServerPort(Output):
         self.call: Callable[[ServerPort, Any, Any], Any] = lambda server, request, response: None
 
     def guaranteed(self, promise: Guarantee) -> Predicate:
-        return Predicate(type_name(self.type, kind="srv"), within=self.within)
+        return Predicate(type_name(self.type, kind=self.kind), within=self.within)
+
+    def make(self, host: Host, name: str) -> ServedService:
+        """Make its service, which is then in the graph."""
+        return host.create_server(name, self.type, self.answer)
+
+    @property
+    def stays(self) -> bool:
+        """Whether it is in the graph in modes that do not serve."""
+        return self.refusal is not None
 
     def promise(self, guaranteed: Guarantee) -> None:
         """A server has no messages, so no rate and no fields."""
@@ -138,7 +149,7 @@ class ServerPort(Output):
 
     def show(self, link: OutputLink) -> None:
         if isinstance(link, ServerLink):
-            link.service.show(self.serving or self.refusal is not None)
+            link.service.show(self.serving or self.stays)
 
     def answer(self, request: Any, response: Any) -> Any:
         """The response, or an awaitable of it; None where there is none. On the data thread.
@@ -167,7 +178,61 @@ class ServerPort(Output):
         return {link.topic: LinkState(gate=link.gate, count=0, fenced=link.fenced) for link in self.links}
 
     def __repr__(self) -> str:
-        return f"<server {self.name}: {type_name(self.type, kind='srv')}>"
+        words = KIND_WORDS[connector_kind(type_name(self.type, kind=self.kind))]
+        return f"<{words.output} {self.name}: {type_name(self.type, kind=self.kind)}>"
+
+
+class ActionServerPort(ServerPort):
+    """A server of a ROS action. Created by ``Component.create_action_server``."""
+
+    kind: ClassVar = "action"
+
+    def __init__(
+        self,
+        name: str,
+        type_: type,
+        function: Callable[[Any], Any],
+        within: float | None,
+        accepts: Callable[[Any], bool] | None,
+        cancels: Callable[[Any], bool] | None,
+    ) -> None:
+        super().__init__(name, type_, lambda request, response: None, within, None)
+        self._execute = function
+        self._accepts = accepts
+        self._cancels = cancels
+        # How many goals are being executed.
+        self.under_way = 0
+        # Reports what the function raises, once the component runs: the functionality degrades.
+        self.failed: Callable[[ServerPort, int, BaseException], object] = lambda server, entered, error: None
+        self.entered: Callable[[], int] = lambda: 0
+
+    def make(self, host: Host, name: str) -> ServedService:
+        return host.create_action_server(name, self.type, self)
+
+    @property
+    def stays(self) -> bool:
+        return True
+
+    def accepts(self, goal: Any) -> bool:
+        """Whether to accept ``goal``, a request for one: never in a mode that does not serve."""
+        return self.serving and (self._accepts is None or bool(self._accepts(goal)))
+
+    def cancels(self, goal: Any) -> bool:
+        """Whether to cancel a goal that is being executed."""
+        return self._cancels is None or bool(self._cancels(goal))
+
+    async def execute(self, goal: Any) -> Any:
+        """The result of an accepted goal. Raises what the function raises, which aborts the goal."""
+        entered = self.entered()
+        self.under_way += 1
+        try:
+            result = self._execute(goal)
+            return await result if inspect.isawaitable(result) else result
+        except Exception as error:
+            self.failed(self, entered, error)
+            raise
+        finally:
+            self.under_way -= 1
 
 
 class ClientLink(InputLink):
@@ -177,13 +242,14 @@ class ClientLink(InputLink):
 
     def __init__(self, client: ClientPort, topic: str, host: Host) -> None:
         super().__init__(client, topic, MessageTimes(host.now))
-        self.endpoint = self.service = host.create_client(topic, client.type)
+        self.endpoint = self.service = client.make(host, topic)
 
 
 class _Call(NamedTuple):
     future: Any
     service: CalledService
     since: int  # steady ns
+    bounded: bool  # the bound of the client holds for it
 
 
 class ClientPort(Input):
@@ -192,8 +258,10 @@ class ClientPort(Input):
     It counts the responses that it has received, and having seen its server as one more.
     """
 
+    kind: ClassVar = "srv"
+
     def __init__(self, name: str, type_: type, within: float | None) -> None:
-        super().__init__(name, type_, Predicate(type_name(type_, kind="srv"), within=within))
+        super().__init__(name, type_, Predicate(type_name(type_, kind=self.kind), within=within))
         self.within = within
         self._host: Host | None = None
         self._calls: dict[int, _Call] = {}  # by number, in order
@@ -214,14 +282,27 @@ class ClientPort(Input):
         (docs/protocols/reflex.md). An async mode need not catch that. Call it on the thread of the modes. Raises
         NodeError while it is attached to no service, or if ``request`` is not of its type.
         """
-        if not isinstance(request, self.type.Request):  # type: ignore[attr-defined]
-            words = f"client {self.name} takes {type_name(self.type, kind='srv')}, not {type(request).__name__}"
-            raise NodeError(f"{words}; write {self.name}.call_async({self.type.__name__}.Request(…))")
+        return self._send("call_async", request)
+
+    def make(self, host: Host, name: str) -> CalledService:
+        """Make its side of the service."""
+        return host.create_client(name, self.type)
+
+    def _send(self, method: str, request: Any, *more: Any) -> Any:
+        what = REQUEST_OF[self.kind]
+        if not isinstance(request, getattr(self.type, what)):
+            words = f"client {self.name} takes {type_name(self.type, kind=self.kind)}, not {type(request).__name__}"
+            raise NodeError(f"{words}; write {self.name}.{method}({self.type.__name__}.{what}(…))")
         link = next((link for link in self.links if isinstance(link, ClientLink)), None)
-        if link is None or self._host is None:
+        if link is None:
             raise NodeError(f"client {self.name} is attached to no service; call it in a mode that assumes it")
-        number, future = next(self._numbers), link.service.call(request)
-        self._calls[number] = _Call(future, link.service, self._host.steady())
+        return self._awaited(link, link.service.call(request, *more))
+
+    def _awaited(self, link: ClientLink, future: Any, bounded: bool = True) -> Any:
+        """Note that ``future`` is waited for, and return it."""
+        assert self._host is not None
+        number = next(self._numbers)
+        self._calls[number] = _Call(future, link.service, self._host.steady(), bounded)
 
         def done(_: Any) -> None:
             if self._calls.pop(number, None) is not None:
@@ -276,7 +357,7 @@ class ClientPort(Input):
         absent = 0.0 if self._absent_since is None else (now - self._absent_since) / 1e9
         if absent > (ABSENT if self._seen else NEVER_SEEN):
             return f"client {self.name}: {names} has had no server for {absent:.2g} s"
-        oldest = next(iter(list(self._calls.values())), None)
+        oldest = next((call for call in list(self._calls.values()) if call.bounded), None)
         waited = 0.0 if oldest is None else (now - max(oldest.since, self._counted_from)) / 1e9
         if self.within is None or waited <= self.within + OVERDUE:
             self._probe = None
@@ -301,4 +382,33 @@ class ClientPort(Input):
         return {link.topic: LinkState(gate=None, count=0) for link in self.links}
 
     def __repr__(self) -> str:
-        return f"<client {self.name}: {self.assumption}>"
+        return f"<{KIND_WORDS[self.assumption.kind].input} {self.name}: {self.assumption}>"
+
+
+class ActionClientPort(ClientPort):
+    """A client of a ROS action. Created by ``Component.create_action_client``."""
+
+    kind: ClassVar = "action"
+
+    def make(self, host: Host, name: str) -> CalledService:
+        return host.create_action_client(name, self.type, self._note_accepted)
+
+    def send_goal_async(self, goal: Any, feedback_callback: Callable[[Any], object] | None = None) -> Any:
+        """Send ``goal``, and return rclpy's future of its handle: as rclpy's action client does.
+
+        It ends with ``midstride.Unanswered`` where the server has gone, or accepts or rejects the goal later than the
+        bound allows; so does that of ``handle.get_result_async()`` where the server has gone. Raises NodeError while it
+        is attached to no ROS action, or if ``goal`` is not of its type.
+        """
+        return self._send("send_goal_async", goal, feedback_callback)
+
+    def _note_accepted(self, handle: Any) -> None:
+        """Have the result of an accepted goal end with its server. Called before anyone else has the handle."""
+        get_result = handle.get_result_async
+        link = next((link for link in self.links if isinstance(link, ClientLink)), None)
+        if link is not None:
+            handle.get_result_async = lambda: self._awaited(link, get_result(), bounded=False)
+
+    def call_async(self, request: Any) -> Any:
+        """Raises NodeError: a ROS action has goals."""
+        raise NodeError(f"action client {self.name} sends goals; write {self.name}.send_goal_async(…)")

@@ -17,9 +17,9 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from midstride.codec.parameter import from_json, json_value
 from midstride.errors import BackendError, CommandRefused
-from midstride.model.component import ROS_PARAMETERS, same_value
+from midstride.model.component import GOAL_PATIENCE, ROS_PARAMETERS, same_value
 from midstride.node.author.declaration import DeclaredParts
-from midstride.node.author.service_ports import ServerPort
+from midstride.node.author.service_ports import ActionServerPort, ServerPort
 from midstride.node.component_host import HeldParameter, Host
 from midstride.node.control.attachments import Attachments
 from midstride.node.control.component_reflex import Reflex
@@ -163,6 +163,8 @@ class CommandHandlers:
                 port.owner = runner
                 if isinstance(port, ServerPort):
                     port.call = runner.answer
+                if isinstance(port, ActionServerPort):
+                    port.failed, port.entered = runner.request_failed, partial(getattr, runner, "entered")
             self._runners.append(runner)
         for runner in self._runners:
             runner.start_calls()
@@ -179,6 +181,7 @@ class CommandHandlers:
     async def end(self) -> None:
         """Finish requests, stop calls, run the author's `on_stop`, destroy endpoints; each in bounded time."""
         await self._finish_requests()
+        await self._finish_goals()
         self._handovers.close()
         self._take_hold()  # no call is begun any more
         timeout = self.parts.callbacks.stop_timeout
@@ -215,6 +218,28 @@ class CommandHandlers:
                 self.host.logger.error(f"{self.host.instance} ends, but {words}")
                 return
             await self.host.sleep(0.01)
+
+    async def _finish_goals(self) -> None:
+        """Where a successor takes new goals, go on with those of ports until they have ended and sent their results."""
+        if not self._goes_on_with_goals:
+            return
+        deadline = self.host.steady() + int(GOAL_PATIENCE * 1e9)
+        while self._goals:
+            if self.host.steady() >= deadline:
+                words = f"{self._goals} goals had not ended within {GOAL_PATIENCE:g} s"
+                self.host.logger.error(f"{self.host.instance} ends, but {words}")
+                return
+            await self.host.sleep(0.01)
+        await self.host.sleep(RESPONSE_SECONDS)
+
+    @property
+    def _goals(self) -> int:
+        """How many goals of action servers that are ports are being executed."""
+        return sum(port.under_way for port in self.parts.services if isinstance(port, ActionServerPort))
+
+    @property
+    def _goes_on_with_goals(self) -> bool:
+        return self._goals > 0 and self._handovers.answering.has_successor
 
     def _stop_calls(self) -> None:
         for parameter in self._parameters().values():
@@ -269,6 +294,7 @@ class CommandHandlers:
         """
         callbacks = self.parts.callbacks
         requests = REQUESTS_SECONDS if self.host.admission.busy else 0.0
+        requests += GOAL_PATIENCE + RESPONSE_SECONDS if self._goes_on_with_goals else 0.0
         requests += RESPONSE_SECONDS if requests or self.host.admission.answered_within(RESPONSE_SECONDS) else 0.0
         return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
 

@@ -103,6 +103,11 @@ class Answering:
             self._successor = address
             self.start(self._pass_on(address))
 
+    @property
+    def has_successor(self) -> bool:
+        """Whether another instance answers instead."""
+        return self._successor is not None
+
     def undecided(self) -> list[str]:
         """Return the requests of which it is not known yet whether the successor has received them."""
         return [] if self._successor is None else list(self.admission.passable())

@@ -238,12 +238,7 @@ class FunctionalityRunner(OutputOwner):
         entered = self.entered
 
         def failed(error: BaseException) -> Any:
-            self._host.logger.error(f"the function of server {server.name} raised {format_error(error)}")
-            if server.serving and self.entered == entered:
-                if self.asynchronous:
-                    self._fail_later(error)
-                else:
-                    self._fail(error)
+            self.request_failed(server, entered, error)
             return server.refuse(request, response)
 
         async def finish(awaitable: Awaitable[Any]) -> Any:
@@ -257,6 +252,16 @@ class FunctionalityRunner(OutputOwner):
             return finish(result) if inspect.isawaitable(result) else server.fitted(result, response)
         except CAUGHT as error:
             return failed(error)
+
+    def request_failed(self, server: ServerPort, entered: int, error: BaseException) -> None:
+        """Fail, if still in the mode, by its number, in which the request came for which ``server`` has raised."""
+        self._host.logger.error(f"the function of server {server.name} raised {format_error(error)}")
+        if not server.serving or self.entered != entered:
+            return
+        if self.asynchronous:
+            self._fail_later(error)
+        else:
+            self._fail(error)
 
     def _fail_later(self, error: BaseException) -> None:
         """Fail once the async call under way has ended. The state shows it already, and its servers serve no more."""

@@ -26,13 +26,18 @@ from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import node_parameters, port_endpoints
 from midstride.backends.ros2.component.node_threads import ComponentNodes
 from midstride.backends.ros2.component.parameter_services import parameters_of
-from midstride.backends.ros2.component.service_endpoints import RosClient, RosServer
+from midstride.backends.ros2.component.service_endpoints import (
+    RosActionClient,
+    RosActionServer,
+    RosClient,
+    RosServer,
+)
 from midstride.backends.ros2.component.timers import Ros2GridTimer, SetBackWatch
 from midstride.model.contract import QoS
 from midstride.model.instance_names import dotted_name, full_name, split_name
 from midstride.node import process_context
 from midstride.node.clock_history import ClockHistory
-from midstride.node.component_host import MessageInfo, NodeParameters
+from midstride.node.component_host import GoalAnswers, MessageInfo, NodeParameters
 from midstride.node.diagnostic_status import DiagnosticEntry
 from midstride.node.request_admission import RequestAdmission
 from midstride.wire.environment import ENV_SHARED_NAME, ENV_TOKEN
@@ -65,6 +70,7 @@ class Ros2Host:
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
         self._servers: dict[str, RosServer] = {}  # those in the graph, by name
+        self._action_servers: dict[str, RosActionServer] = {}  # likewise
         self._timers: WeakSet[Ros2GridTimer] = WeakSet()
         self.simulated_time = False
         self._failure: Exception | None = None
@@ -175,6 +181,26 @@ class Ros2Host:
         self._servers[name] = server
         self._ports.add(id(server.service))
         return server
+
+    def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> RosActionServer:
+        """Take up one that has been given up while another instance answered, and is still in the graph."""
+        if (server := self._action_servers.get(name)) is not None and server.type is type_:
+            server.resume(answers)
+            return server
+        server = self._action_servers[name] = RosActionServer(
+            self.ros_node,
+            self._group,
+            name,
+            type_,
+            answers,
+            admission=self.admission,
+            later=self._post,
+            gone=lambda server: self._action_servers.pop(server.name, None),
+        )
+        return server
+
+    def create_action_client(self, name: str, type_: type, accepted: Callable[[Any], None]) -> RosActionClient:
+        return RosActionClient(self.ros_node, self._group, name, type_, accepted)
 
     def _has_left(self, server: RosServer) -> None:
         self._ports.discard(id(server.service))

@@ -10,9 +10,12 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any, Final
 
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import QoSProfile, qos_profile_services_default
+from rclpy.task import Future
 
+from midstride.node.component_host import GoalAnswers
 from midstride.node.request_admission import RequestAdmission
 
 # How many requests, or responses, fit into the queue of an endpoint. Every client of a service receives the responses
@@ -94,6 +97,64 @@ class RosServer:
             self._gone(self)
 
 
+class RosActionServer:
+    """The ROS action ``name`` of ``node``, for the server that it belongs to now."""
+
+    def __init__(
+        self,
+        node: Any,
+        group: Any,
+        name: str,
+        type_: type,
+        answers: GoalAnswers,
+        *,
+        admission: RequestAdmission,
+        later: Callable[[Callable[[], None]], object],
+        gone: Callable[[RosActionServer], object],
+    ) -> None:
+        self.name = name
+        self.type = type_
+        self.answer = answers
+        self._admission, self._later, self._gone = admission, later, gone
+        self._under_way = 0
+        self._retired = False
+        self.service = ActionServer(
+            node,
+            type_,
+            name,
+            self._execute,
+            callback_group=group,
+            goal_callback=lambda goal: GoalResponse.ACCEPT if self._accepts(goal) else GoalResponse.REJECT,
+            cancel_callback=lambda goal: CancelResponse.ACCEPT if self.answer.cancels(goal) else CancelResponse.REJECT,
+        )
+
+    def _accepts(self, goal: Any) -> bool:
+        return not self._retired and self.answer.accepts(goal)
+
+    async def _execute(self, goal: Any) -> Any:
+        self._under_way += 1
+        try:
+            return await self.answer.execute(goal)
+        finally:
+            self._under_way -= 1
+            if self._retired:
+                self._later(self._leave)
+
+    def resume(self, answers: GoalAnswers) -> None:
+        """Belong to a server again."""
+        self.answer, self._retired = answers, False
+
+    def retire(self) -> None:
+        """Accept no goal any more, and leave the graph when those in progress have ended."""
+        self._retired = True
+        self._leave()
+
+    def _leave(self) -> None:
+        if self._retired and not self._under_way and self._admission.is_open:
+            self.service.destroy()
+            self._gone(self)
+
+
 class RosClient:
     """A client of the service ``name``."""
 
@@ -101,7 +162,7 @@ class RosClient:
         self.client = node.create_client(type_, name, qos_profile=_deep_queue(), callback_group=group)
         self._destroy = destroy
 
-    def call(self, request: Any) -> Any:
+    def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
         return self.client.call_async(request)
 
     def abandon(self, future: Any, error: Exception) -> None:
@@ -117,3 +178,40 @@ class RosClient:
 
     def destroy(self) -> None:
         self._destroy(self.client)
+
+
+class RosActionClient:
+    """A client of the ROS action ``name``. ``accepted`` is called with the handle of each accepted goal."""
+
+    def __init__(self, node: Any, group: Any, name: str, type_: type, accepted: Callable[[Any], None]) -> None:
+        self.client = ActionClient(node, type_, name, callback_group=group)
+        self._node, self._accepted = node, accepted
+
+    def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
+        given = Future(executor=self._node.executor)
+
+        def done(sent: Any) -> None:
+            if given.done():
+                return
+            if (error := sent.exception()) is not None:
+                given.set_exception(error)
+                return
+            if (handle := sent.result()).accepted:
+                self._accepted(handle)
+            given.set_result(handle)
+
+        self.client.send_goal_async(request, feedback_callback=feedback).add_done_callback(done)
+        return given
+
+    def abandon(self, future: Any, error: Exception) -> None:
+        if not future.done():
+            future.set_exception(error)
+
+    def matched(self) -> int:
+        try:
+            return int(self.client.server_is_ready())
+        except InvalidHandle:
+            return 0
+
+    def destroy(self) -> None:
+        self.client.destroy()
