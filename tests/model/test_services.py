@@ -13,7 +13,7 @@ from midstride.errors import PlanRefused, SpecificationError
 from midstride.generate.drawn_system import view
 from midstride.generate.skeleton import skeleton
 from midstride.lang.load import load_text
-from midstride.model.component import Connector
+from midstride.model.component import Connector, FunctionalityRef, InputAlternatives
 from midstride.model.contract import Predicate, explain, satisfies
 from midstride.model.rules import Evaluator
 from midstride.model.specification import Constraint, Order, Specification, initial
@@ -28,6 +28,8 @@ from midstride.plan.strategies.registry import planner
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.simulation.stand_in import with_stand_ins
 from midstride.verify.alloy_atoms import AlloyAtoms
+from midstride.verify.chain import chain
+from midstride.verify.diagram import chain_lines
 from tests.replay.plan_replay import replay
 
 MAP = "nav_msgs/srv/GetMap"
@@ -107,6 +109,9 @@ def test_what_relies_on_a_server_degrades_without_it() -> None:
     specification = load_text(TEXT.replace("{ map -> /map }", "{ }", 1)).require()
     evaluator = Evaluator(initial(specification))
     assert "/map has no server" in evaluator.why_connector_unsatisfied("/map")
+    configuration, ref = initial(specification), FunctionalityRef("docking", "docking")
+    (*_, last) = chain_lines(chain(configuration, ref, InputAlternatives(("map",))))
+    assert last.endswith("/map (nav_msgs/srv/GetMap responds within 0.05 s: no server): not satisfied")
 
 
 def test_the_json_form_lists_each_kind_apart() -> None:

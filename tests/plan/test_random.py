@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from midstride.errors import PlanRefused
+from midstride.model.action import Handover
 from midstride.model.rules import violations
 from midstride.model.specification import Constraint, Limit, Order, Specification, initial
 from midstride.plan.change import Change
@@ -90,6 +92,24 @@ def holds(plan: Plan) -> None:
     assert verdict.holds, f"{verdict}\n" + "\n".join(str(step) for step in plan.steps)
     for configuration in plan.configurations():
         assert violations(configuration) == []
+
+
+def test_services_are_handed_over_within_a_role_and_from_one_role_to_another() -> None:
+    """What is drawn has both: else little would be tried of the one server that a service has."""
+    moved: Counter[str] = Counter()
+    for seed in range(40):
+        rng = Random(seed)
+        ends = systems.exclusive(rng, 3) if seed % 2 else systems.tight(rng, 2)
+        start, target = systems.with_services(rng, *ends)
+        try:
+            plan = STRATEGIES["minimal"](change_between(initial(start), start, target))
+        except PlanRefused:
+            continue
+        for action in (step.action for step in plan.steps):
+            for swap in action.swaps if isinstance(action, Handover) else ():
+                roles = {plan.change.role_of(swap.old.instance), plan.change.role_of(swap.new.instance)}
+                moved[f"{plan.change.start.context.connectors[swap.connector].kind}, {len(roles)}"] += 1
+    assert min(moved[f"{kind}, {number}"] for kind in ("service", "action") for number in (1, 2)) > 2, moved
 
 
 @given(SEEDS, NAMES, st.booleans(), SERVICES)
