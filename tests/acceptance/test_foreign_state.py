@@ -151,6 +151,44 @@ def test_a_plain_node_keeps_what_it_has_counted_across_replacements(tmp_path: Pa
     kept_across(tmp_path, 3)
 
 
+SERVERS = """
+contract Handling = rcl_interfaces/srv/ListParameters
+service /declared : Handling
+component Declared {
+  run "python3 counter.py 0" gate preload
+  server handle
+  functionality serve { produces handle  mode normal { guarantee handle : Handling }  mode off { } }
+}
+component Bare { run "python3 counter.py 0 --ros-args -r handle:=/bare" gate preload }
+node declared : Declared { handle -> /declared }
+node bare : Bare
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("role", ["declared", "bare"])
+def test_a_server_keeps_its_state_where_no_topic_is_handed_over(tmp_path: Path, role: str) -> None:
+    async def scenario() -> None:
+        from rcl_interfaces.srv import ListParameters
+
+        path = written(tmp_path)
+        path.write_text(path.read_text() + SERVERS, encoding="utf-8")
+        async with robot(load(path).require(), tmp_path) as system:
+            client: Any = system.bare.node.create_client(ListParameters, f"/{role}")
+            await system.until(client.service_is_ready)
+            for number in range(1, 4):
+                future = client.call_async(ListParameters.Request())
+                await system.until(future.done)
+                assert future.result().result.names == [str(number)]
+                report = await system.meanwhile(system.manager.change(PlanRequest(restart=(role,))))
+                assert (report.outcome, report.because, report.own_state) == ("done", None, {}), report
+                (moved,) = report.moved.values()
+                assert moved.silent is None
+
+    with ended():
+        run(scenario(), 3600)
+
+
 @pytest.mark.long
 def test_one_that_hangs_as_it_exports_is_replaced_all_the_same(tmp_path: Path) -> None:
     """Its replacement takes over with its own state, and the report says what is lost."""
