@@ -112,6 +112,32 @@ def test_simulated_time_that_is_stated_is_that_of_the_whole_process(component: s
 
 
 @needs_rcl
+@pytest.mark.parametrize(
+    ("component", "node", "own", "others"),
+    [
+        ("parameters for all { rate = 7.0 }", "", 7.0, {"inner": 7.0, "a/b": 7.0}),
+        ("parameters for all { rate = 7.0 }", "parameters { rate = 8.0 }", 8.0, {"inner": 7.0, "a/b": 7.0}),
+        ("parameters { rate = 7.0 }", "parameters for all { rate = 8.0 }", 8.0, {"inner": 8.0, "a/b": 8.0}),
+        # As with launch, a section counts at the place where its name is met first.
+        ('parameters for all { rate = 7.0 } parameters "p.yaml"', "", 7.0, {"inner": 5.0, "a/b": 7.0}),
+        ('parameters "p.yaml" parameters for all { rate = 7.0 }', "", 7.0, {"inner": 7.0, "a/b": 7.0}),
+        ('parameters "p.yaml" parameters { rate = 7.0 }', "", 7.0, {"inner": 5.0}),
+    ],
+)
+def test_a_value_for_all_reaches_each_node_of_the_process(
+    component: str, node: str, own: float, others: dict[str, float], tmp_path: Path
+) -> None:
+    file = {"p.yaml": "inner: {ros__parameters: {rate: 5.0}}\n"}
+    specification = loaded(tmp_path, COMPONENT % component + f"node n : C {{ {node} }}\n", file)
+    assert specification is not None
+    found = written(specification, "n", tmp_path)
+    assert effective(found, "n") == {"rate": comparable(own)}
+    assert {name: effective(found, name) for name in ("inner", "a/b") if effective(found, name)} == {
+        name: {"rate": comparable(value)} for name, value in others.items()
+    }
+
+
+@needs_rcl
 def test_simulated_time_of_a_file_is_for_the_nodes_of_its_section(tmp_path: Path) -> None:
     file = {"p.yaml": "n: {ros__parameters: {use_sim_time: true}}\n"}
     specification = loaded(tmp_path, COMPONENT % 'parameters "p.yaml"' + "node n : C\n", file)

@@ -12,7 +12,16 @@ from midstride.errors import SpecificationError
 from midstride.lang import load
 from midstride.launch_files.launch_import import Imported, import_launch_file, parameter_file_beside
 from midstride.model.specification import Specification
-from tests.launch_files.launched_processes import DEFAULT_LIMIT, cases, plain, shortened, split, surroundings
+from tests.launch_files.launched_processes import (
+    DEFAULT_LIMIT,
+    OTHER,
+    cases,
+    for_others,
+    plain,
+    shortened,
+    split,
+    surroundings,
+)
 
 # What launch 3.7 refuses by its own faults, and later versions take.
 LATER = {"include-let.launch.xml", "if-any-or-all.launch.xml"}
@@ -75,6 +84,11 @@ def _process(system: Specification, name: str, environment: Mapping[str, str]) -
             parameters |= section.parameters
     if parameters:
         found["parameters"] = {key: plain(parameters[key]) for key in sorted(parameters)}
+    of_others: dict[str, Any] = {}
+    for section in (each for each in node.sections if each.matches(OTHER)):
+        of_others |= section.parameters
+    if of_others := for_others(of_others):
+        found["others"] = of_others
     if others := [[option, value] for option, value in rules if option not in {"-r", "-p", "--params-file"}]:
         found["ros_arguments"] = others
     if node.respawn is not None:

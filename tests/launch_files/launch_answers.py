@@ -24,8 +24,10 @@ from unittest import mock
 
 from tests.launch_files.launched_processes import (
     DEFAULT_LIMIT,
+    OTHER,
     cases,
     environment_change,
+    for_others,
     plain,
     prefix_folder,
     shortened,
@@ -117,6 +119,8 @@ class _Recorder:
         try:
             if parameters := effective(settings, full):
                 found["parameters"] = {name: plain(parameters[name]) for name in sorted(parameters)}
+            if of_others := for_others(effective(settings, OTHER)):
+                found["others"] = of_others
         except Unreadable as error:
             found["refused"] = shortened(str(error), self.prefix)
         if others := [[option, value] for option, value in rules if option not in {"-r", "-p", "--params-file"}]:

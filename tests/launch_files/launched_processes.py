@@ -10,10 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from midstride.model.component_rules import MAX_NUMBER
+
 CATALOGUE: Final = Path(__file__).parent / "catalogue"
 PACKAGE: Final = "made_up_pkg"
 DEFAULT_LIMIT: Final = 5.0  # seconds until the next signal, for a process that does not end
 TOOL: Final = "made_up_tool"
+# A node that a process may have besides the one that the launch file names.
+OTHER: Final = "/made_up_group/other"
 # The programs of the package, each of which would call its node like itself.
 PROGRAMS: Final = ("worker", "camera")
 _RULES: Final = {"-r": "-r", "--remap": "-r", "-p": "-p", "--param": "-p", "--params-file": "--params-file"}
@@ -82,6 +86,18 @@ def shortened(text: str, prefix: Path) -> str:
     for folder, name in ((prefix / "share" / PACKAGE, "<share>"), (CATALOGUE, "<here>"), (prefix, "<prefix>")):
         text = text.replace(str(folder), name)
     return text
+
+
+def for_others(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """What another node of a process has. Without what the language cannot state, which is for one node."""
+    return {
+        name: plain(parameters[name])
+        for name in sorted(parameters)
+        if re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", name, re.ASCII)
+        and not (isinstance(parameters[name], str) and (len(parameters[name]) > 1000 or "\n" in parameters[name]))
+        and parameters[name] != []
+        and not (isinstance(parameters[name], (int, float)) and MAX_NUMBER < abs(parameters[name]) < math.inf)
+    }
 
 
 def plain(value: Any) -> Any:

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from midstride.errors import SpecificationError
 from midstride.launch_files import interpreter
+from midstride.launch_files.launch_import import import_launch_file
 from tests.launch_files.imported_processes import imported
 from tests.launch_files.launch_answers import ANSWERS
-from tests.launch_files.launched_processes import CATALOGUE, cases, prefix_folder
+from tests.launch_files.launched_processes import CATALOGUE, cases, prefix_folder, surroundings
 from tests.launch_files.recorded_python import replaying
 
 DOCUMENT = json.loads(ANSWERS.read_text(encoding="utf-8"))
@@ -40,6 +43,29 @@ def test_an_import_starts_what_launch_starts_or_says_what_differs(
     different, said = imported(name, DOCUMENT["answers"], prefix, tmp_path)
     assert said or not different, different
     assert not different or name in DOCUMENT["differing"], (different, said)
+
+
+def refused(name: str, folder: Path) -> list[str]:
+    """What an import says that launch refuses a launch file for; what it says where it refuses it as well."""
+    path, arguments = CASES[name]
+    prefix = prefix_folder(folder)
+    environment = surroundings(prefix, os.environ)
+    try:
+        found = import_launch_file(path, arguments, environment, folder / "a.stride")
+    except SpecificationError as error:
+        return [str(error)]
+    return [str(each) for each in found.findings if each.kind == "refused"]
+
+
+@pytest.mark.parametrize("name", sorted(name for name in CASES if not name.endswith(".py")))
+def test_a_launch_file_is_said_to_be_refused_if_launch_does_not_read_it(name: str, tmp_path: Path) -> None:
+    """Or does not start a process for what stands there."""
+    error = DOCUMENT["answers"][name].get("error", "")
+    read = not error.startswith("Caught multiple exceptions") or "No such file" in error
+    if read and name.startswith("refused-"):
+        assert error and refused(name, tmp_path)
+    else:
+        assert bool(refused(name, tmp_path)) is not read, error
 
 
 @pytest.mark.full

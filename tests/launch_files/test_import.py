@@ -215,6 +215,7 @@ def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> No
     )
     seen = [(finding.place.rpartition(":")[2], finding.kind) for finding in found.findings]
     assert seen == [
+        ("22", "refused"),  # before anything is carried out
         ("2", "argument"),
         ("3", "argument"),
         ("4", "package"),
@@ -231,7 +232,6 @@ def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> No
         ("19", "unsupported"),
         ("21", "condition"),
         ("22", "condition"),
-        ("22", "parameters"),
         ("9", "name"),
         ("18", "name"),
         ("11", "parameters"),
@@ -246,7 +246,7 @@ def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("attributes", "message"),
     [
-        ('respawn="true" respawn_delay="2 s"', "`respawn_delay` of a node is left out"),
+        ('respawn="true" respawn_delay="2 s"', "refuses this file: `respawn_delay` of `node`: `2 s` is not a number"),
         ('respawn="true" respawn_delay="nan"', "`nan` is not a number from 0"),
         ('respawn="true" respawn_delay="-1"', "`-1` is not a number from 0"),
         ('respawn="true" respawn_max_retries="many"', "`respawn_max_retries` of a node is left out"),
@@ -254,7 +254,7 @@ def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> No
 )
 def test_numbers_that_launch_does_not_take_are_left_out(tmp_path: Path, attributes: str, message: str) -> None:
     found = of_xml(tmp_path, f'<node pkg="" exec="n" name="n" {attributes}/>')
-    assert kinds(found) == ["unsupported", "restart"]
+    assert kinds(found) == ["refused" if "refuses" in message or "-1" in message else "unsupported", "restart"]
     assert message in str(next(iter(found.findings)))
     assert found.nodes == 1
 
@@ -310,7 +310,8 @@ def test_how_long_a_process_may_take_to_end_is_taken_over(
     tmp_path: Path, attributes: str, before: str, stop: StopTimes | None
 ) -> None:
     found = of_xml(tmp_path, f'{before}<node pkg="" exec="n" name="n" {attributes}/>')
-    assert kinds(found) == []
+    # Launch carries out no substitution there.
+    assert kinds(found) == ["refused"] * ("$(var" in attributes)
     (component,) = load_text(found.text).require().components.values()
     assert component.stop == stop
 
@@ -433,8 +434,13 @@ def test_a_variable_that_is_taken_away_is_not_inherited(tmp_path: Path) -> None:
 
 def test_a_lifecycle_node_has_its_gate(tmp_path: Path) -> None:
     found = of_xml(tmp_path, '<lifecycle_node pkg="nav" exec="map" name="map" namespace=""/>')
-    assert 'run "map" package "nav" gate lifecycle preload' in found.text and kinds(found) == ["package", "lifecycle"]
-    _, finding = found.findings
+    assert 'run "map" package "nav" gate lifecycle preload' in found.text and kinds(found) == [
+        "refused",
+        "package",
+        "lifecycle",
+    ]
+    refused, _, finding = found.findings
+    assert "up to launch_ros 0.28, it has no element `lifecycle_node`" in refused.message and not refused.left_out
     assert "the launch file leaves `map` unconfigured; here Midstride activates it at its start" in finding.message
     assert "write `gate preload`" in finding.message and not finding.left_out
 
@@ -648,27 +654,41 @@ def test_what_a_specification_needs_of_other_folders_is_in_its_first_line(
     )
 
 
-def test_a_value_that_launch_gives_to_further_nodes_of_the_process_is_named(tmp_path: Path) -> None:
+def test_a_value_that_launch_gives_to_all_nodes_of_a_process_is_for_all(tmp_path: Path) -> None:
     (tmp_path / "two.yaml").write_text(
         "two: {ros__parameters: {rate: 20.0}}\nlocal_costmap: {local_costmap: {ros__parameters: {width: 3}}}\n"
     )
     file = '<param from="$(dirname)/two.yaml"/>'
     rate = '<param name="rate" value="7.0"/>'
-    (finding,) = of_xml(tmp_path, f'<node exec="./two" name="two">{file}{rate}</node>').findings
-    assert "launch gives `rate` to all nodes of the process of `two`" in finding.message and not finding.left_out
-    assert "if `local_costmap/local_costmap` is in this process" in finding.message
-    # Set for all nodes, it is for all of those as well.
-    set_for_all = '<set_parameter name="rate" value="7.0"/>'
-    (finding,) = of_xml(tmp_path, f'{set_for_all}<node exec="./two" name="two">{file}</node>').findings
-    assert "launch gives `rate` to all nodes" in finding.message
-    for body in (
-        f'<node exec="./two" name="two">{file}</node>',
-        f'<node exec="./two" name="two">{rate}</node>',
-        f'<node exec="./two" name="two">{file}<param name="use_sim_time" value="true"/></node>',
+    for body, own, other in (
+        (f'<node exec="./two" name="two">{file}{rate}</node>', 7.0, 7.0),
+        (f'<node exec="./two" name="two">{rate}{file}</node>', 20.0, 7.0),
+        (f'<set_parameter name="rate" value="7.0"/><node exec="./two" name="two">{file}</node>', 20.0, 7.0),
+        ('<node exec="./two" name="two" args="--ros-args -p rate:=7.0"/>', 7.0, 7.0),
+        (f'<node exec="./two" name="two"><param name="rate" value="1.0"/>{rate}</node>', 7.0, 7.0),
         # In a namespace that is stated, launch gives the value to that node alone.
-        f'<node exec="./two" name="two" namespace="robot1">{file}{rate}</node>',
-        f'<node exec="./two" name="two">{file}{rate}</node>'
-        '<node exec="./b" name="local_costmap" namespace="local_costmap"/>',
+        (f'<node exec="./two" name="two" namespace="">{file}{rate}</node>', 7.0, None),
+    ):
+        found = of_xml(tmp_path, body)
+        assert kinds(found) == [], [str(each) for each in found.findings]
+        node = specification(found, tmp_path).nodes["two"]
+        assert specification(found, tmp_path).instance("two").parameters["rate"] == own, body
+        of_other = {section.pattern: section.parameters.get("rate") for section in node.sections}
+        assert of_other.get("/**") == other, body
+
+
+def test_a_value_for_all_that_the_language_cannot_state_is_named_where_there_may_be_further_nodes(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "two.yaml").write_text("inner: {ros__parameters: {width: 3}}\n")
+    file = '<param from="$(dirname)/two.yaml"/>'
+    long = '<param name="joint-1" value="7.0"/>'
+    (finding,) = of_xml(tmp_path, f'<node exec="./two" name="two">{file}{long}</node>').findings
+    assert "launch gives `joint-1` to all nodes of the process of `two`" in finding.message and not finding.left_out
+    assert "if `inner` is in this process" in finding.message
+    for body in (
+        f'<node exec="./two" name="two">{long}</node>',
+        f'<node exec="./two" name="two">{file}{long}</node><node exec="./b" name="inner"/>',
     ):
         assert "all nodes of the process" not in str([str(each) for each in of_xml(tmp_path, body).findings]), body
 

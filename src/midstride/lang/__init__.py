@@ -15,9 +15,9 @@ from midstride.lang.printer import Formatted, format_text
 
 PUBLIC = (
     "Bounds CATALOGUE ComponentDeclaration Diagnostic File INCLUDE_PATH InvalidYaml Item LanguageService MAX_TOTAL "
-    "NamespaceBlock NodeDeclaration OrderStatement RESERVED Reporter SectionInFile Source Span TopicDeclaration "
-    "Unreadable explain format_text include_folders installed load load_text parse read_sections read_source "
-    "read_text resolve_name sections_of"
+    "NamespaceBlock NodeDeclaration OrderStatement ParameterValueAt RESERVED Reporter SectionInFile Source "
+    "Span TopicDeclaration Unreadable explain format_text include_folders installed load load_text parse read_sections "
+    "read_source read_text resolve_name sections_of"
 )
 
 __all__ = ["Diagnostic", "Formatted", "Loaded", "format_text", "has_errors", "load", "load_text", "render"]

@@ -132,6 +132,12 @@ SEMANTICS: Final = (
         "system s\ncontract Dock = nav2_msgs/action/DockRobot responds within 1 s\naction /dock : Dock\n",
         CHATTER.replace("output out", "server out") + NODE,
     ),
+    entry(
+        "E148: `for all` for a program with one node",
+        """`parameters for all { … }` states values for all nodes of a process, as launch does. That is for programs
+        that do not use Midstride's API (`gate …` after `run "…"`), which may have several nodes.""",
+        CHATTER.replace("  output", "  parameters for all { volume = 1 }\n  output") + NODE,
+    ),
     # -- parameter files -------------------------------------------------------------------------------
     entry(
         "E150: invalid ROS parameter file",

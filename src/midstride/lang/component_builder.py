@@ -84,7 +84,12 @@ class ComponentBuilder:
         """Every declared component, with :data:`UNRESOLVED` for contracts that could not be resolved."""
         for name in self.declared:
             self._merge(name)
-        return {name: self._component(self.merged[name]) for name in self.declared}
+        built = {name: self._component(self.merged[name]) for name in self.declared}
+        for name, declared in self.declared.items():
+            for entry in declared.parameters if built[name].gate is None else ():
+                if entry.for_all:
+                    report_for_all(entry.name, name, self.reporter)
+        return built
 
     # -- like --------------------------------------------------------------------------------------------
 
@@ -279,6 +284,12 @@ class ComponentBuilder:
             hint = did_you_mean(name, [*inputs, *self.contracts.declared])
             self.reporter.report("E008", span, message, help=hint)
         return None
+
+
+def report_for_all(parameter: syntax.Name, component: str, reporter: Reporter) -> None:
+    """Report E148: the program of a component has one node, and a parameter is stated for all of them."""
+    message = f"{component} uses Midstride's API, so its process has one node"
+    reporter.report("E148", parameter.span, message, help=f"write `parameters {{ {parameter.text} = … }}`")
 
 
 def _name(declared: syntax.Named) -> syntax.Name:

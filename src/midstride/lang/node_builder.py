@@ -9,6 +9,7 @@ from typing import Final
 
 from immutables import Map
 
+from midstride.lang.component_builder import report_for_all
 from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, ancestry, limited, resolve_topic
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.parameter_files import SectionInFile, read_sections, sections_of
@@ -113,6 +114,8 @@ class NodeBuilder:
             if parameter.changeable:
                 message = "`changeable` belongs in the component, not in a node"
                 self.reporter.report("E143", parameter.name.span, message, help=f"write `{text} = …` here")
+            if parameter.for_all and component is not None and component.gate is None:
+                report_for_all(parameter.name, name, self.reporter)
             own[text] = parameter.name
             known = component is None or component.gate is None or text in {*component.parameters, *ROS_PARAMETERS}
             if component is not None and not known and text not in stated.of_files:
@@ -175,7 +178,7 @@ class NodeBuilder:
         for parameter in component.parameters if component is not None else ():
             if not parameter.after and unnamed:
                 found.value_for_all(parameter.name.text, self._at(parameter))
-            elif not parameter.after and found.foreign and parameter.name.text in ROS_PARAMETERS:
+            elif not parameter.after and found.foreign and _is_for_all(parameter):
                 found.for_all(parameter.name.text, self._at(parameter))
         for namespace, path in self.declarations.parameter_files:
             if not namespace or entry.role.startswith(f"{namespace}/"):
@@ -216,7 +219,7 @@ class NodeBuilder:
                     found.value_for_all(parameter.name.text, value)
                 elif parameter.after == index:
                     found.value(parameter.name.text, None if defaults else value)
-                    if found.foreign and parameter.name.text in ROS_PARAMETERS:  # the time of a process is one
+                    if found.foreign and _is_for_all(parameter):
                         found.for_all(parameter.name.text, value)
 
     def _add_file(self, found: _Stated, path: Name, named: bool = False) -> None:
@@ -295,3 +298,8 @@ class NodeBuilder:
                 component = self.components[other]
                 missing = {key: value for key, value in added.items() if key not in component.parameters}
                 self.components[other] = replace(component, parameters=component.parameters.update(missing))
+
+
+def _is_for_all(entry: ParameterEntry) -> bool:
+    """Return whether a value is for all nodes of the process, as that of its time is, which is one."""
+    return entry.for_all or entry.name.text in ROS_PARAMETERS

@@ -294,6 +294,8 @@ class ComponentParser(ContractParser):
     def _mode_parameters(self, start: int, parameters: list[syntax.ParameterEntry]) -> frozenset[str]:
         if self.kinds[self.i] == "string":
             raise self.fail("`{` after `parameters`", "a mode states its parameters here, not in a file")
+        if self.at_word("for"):
+            raise self.fail("`{` after `parameters`", "a mode sets the parameters of its own node")
         unread = self.parameters(start, parameters, [])
         for entry in parameters:
             if entry.changeable:

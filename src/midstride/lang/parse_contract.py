@@ -230,10 +230,13 @@ class ContractParser(BlockParser):
         return syntax.Value(result, self.since(start))
 
     def parameters(self, first: int, entries: list[syntax.ParameterEntry], files: list[syntax.Name]) -> frozenset[str]:
-        """``parameters { name = value … }`` or ``parameters "file.yaml"``."""
+        """``parameters { name = value … }``, or ``parameters for all { … }``, or ``parameters "file.yaml"``."""
         if self.kinds[self.i] == "string":
             files.append(self.text("a ROS parameter file name"))
             return frozenset()
+        for_all = self.accept_word("for")
+        if for_all:
+            self.expect_word("all", "after `parameters for`")
 
         def entry() -> bool:
             if self.kinds[self.i] != "name":
@@ -248,7 +251,7 @@ class ContractParser(BlockParser):
             name = self.dotted("a parameter name")
             self.expect("=", f"after `{name.text}`", ("name", "number", "string", "["))
             value = self.parameter_value()
-            entries.append(syntax.ParameterEntry(name, value, changeable, len(files)))
+            entries.append(syntax.ParameterEntry(name, value, changeable, len(files), for_all))
             if self.texts[self.i] in {*HERTZ, *SECONDS} and self.kinds[self.i + 1] not in {"=", ":", "."}:
                 help = f"write `{name.text} = {value.span.text}`; the node defines the unit"
                 self.reporter.report("E120", self.span(), "a parameter value cannot have a unit", help=help)
@@ -256,5 +259,7 @@ class ContractParser(BlockParser):
             return True
 
         if self.kinds[self.i] != "{":
+            if for_all:
+                raise self.fail("`{` after `parameters for all`")
             raise self.fail("`{` or a parameter file name in double quotes after `parameters`")
         return self.block("the parameters", first, {}, entry, ", ")

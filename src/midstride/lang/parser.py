@@ -194,7 +194,7 @@ class Parser(ComponentParser):
         if self.kinds[at - 1] != "," or self.kinds[at] not in {"name", "path"}:
             return False
         if self.texts[at] in RESPAWN_WORDS or (
-            self.texts[at] == "parameters" and self.kinds[at + 1] in {"{", "string"}
+            self.texts[at] == "parameters" and (self.kinds[at + 1] in {"{", "string"} or self.texts[at + 1] == "for")
         ):
             return False
         return self.kinds[at + 1] not in {"<-", "->"}

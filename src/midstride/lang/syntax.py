@@ -140,12 +140,14 @@ class ResourceUse(NamedTuple):
 
 
 class ParameterEntry(NamedTuple):
-    """``after``: how many of the parameter files of its component or node come before it."""
+    """``after``: how many of the parameter files of its component or node come before it. ``for_all``: it is for all
+    nodes of the process."""
 
     name: Name
     value: Value
     changeable: bool
     after: int
+    for_all: bool = False
 
 
 class InputDeclaration(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 from xml.parsers import expat
 
 from midstride.lang.source import Source, Span
@@ -26,13 +26,20 @@ class NotALaunchFile(Exception):
 
 @dataclass(slots=True)
 class Entity:
-    """An element: its attributes, and its nested elements in order. ``typed``: values have types, as in YAML."""
+    """An element: its attributes, and its nested elements in order. ``typed``: values have types, as in YAML.
+
+    There, an element may be a list of nested ones, or have them in ``children`` (``has_children``), or have a value
+    instead of either; and some are ``listed`` under a key of their own.
+    """
 
     tag: str
     span: Span
     typed: bool = False
     attributes: dict[str, EntityValue] = field(default_factory=dict)
     children: list[Entity] = field(default_factory=list)
+    form: Literal["element", "mapping", "list", "value"] = "element"
+    has_children: bool = False
+    listed: bool = False
 
     def named(self, *tags: str) -> Iterator[Entity]:
         """The nested elements with one of these tags."""
@@ -81,7 +88,9 @@ def _from_yaml(source: Source) -> Entity:
         raise NotALaunchFile("its outermost element is not `launch`")
     if not isinstance(value["launch"][0], (list, dict, type(None))):
         raise NotALaunchFile("its element `launch` has a value instead of elements")
-    return _entity("launch", value["launch"], span)
+    root = _entity("launch", value["launch"], span)
+    root.children = [child for child in root.children if not child.listed]  # which launch does not read
+    return root
 
 
 def _tree(source: Source) -> Tree:
@@ -125,15 +134,21 @@ def _tree(source: Source) -> Tree:
 def _entity(tag: str, tree: Tree, span: Span) -> Entity:
     """``span``: of the element, if ``tree`` has none of itself."""
     value, _ = tree
-    entity = Entity(tag, span, typed=True)
+    entity = Entity(tag, span, typed=True, form="value")
     if isinstance(value, list):
+        entity.form, entity.has_children = "list", True
         entity.children = [_nested(item) for item in value]
     elif isinstance(value, dict):
+        entity.form = "mapping"
         for name, (content, place) in value.items():
             if name == "children" and isinstance(content, list):
+                entity.has_children = True
                 entity.children += [_nested(item) for item in content]
             elif isinstance(content, list) and any(isinstance(item, dict) for item, _ in content):
-                entity.children += [_entity(name, item, item[1]) for item in content]
+                listed = [_entity(name, item, item[1]) for item in content]
+                for each in listed:
+                    each.listed = True
+                entity.children += listed
             elif isinstance(content, list):
                 plain = [item for item, _ in content if isinstance(item, (str, bool, int, float))]
                 entity.attributes[name] = list(plain)

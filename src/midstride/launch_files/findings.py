@@ -26,6 +26,7 @@ KINDS: Final = {
     "once": "a program ends when it has done its work, and launch lets it: it is `once`, and not run again",
     "program": "the launch file does not say that a program is a node",
     "restart": "a process is restarted in another way, or without end, as launch does",
+    "refused": "ROS's launch refuses the whole launch file for it; here the rest is read",
     "unsupported": "an element or an attribute has no counterpart and is left out",
 }
 
@@ -36,6 +37,10 @@ class UnknownValue(Exception):
     def __init__(self, message: str, kind: str = "substitution") -> None:
         super().__init__(message)
         self.kind = kind
+
+
+class Tolerated(UnknownValue):
+    """launch refuses the value, and an import reads it as it is meant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +77,22 @@ class ImportFindings:
 
     def __init__(self) -> None:
         self._found: dict[tuple[object, ...], ImportFinding] = {}
+        self._refused: set[tuple[str, int, str]] = set()
 
     def add(self, kind: str, message: str, span: Span, left_out: bool = True) -> None:
         """Something that is left out, or only assumed."""
         finding = ImportFinding(kind, message, span, left_out)
         self._found.setdefault((str(finding), span.source.name, span.start), finding)
+
+    def refuse(self, reason: str, span: Span, left_out: bool = False, of: str = "") -> None:
+        """Name something for which launch refuses the launch file; ``of``: of what."""
+        self._refused.add((span.source.name, span.start, reason))
+        self.add("refused", f"launch refuses this file: {f'{of}: ' if of else ''}{reason}", span, left_out)
+
+    def leave_out(self, what: str, error: UnknownValue, span: Span) -> None:
+        """Name something that is left out because of ``error``, unless launch refuses the launch file for just that."""
+        if (span.source.name, span.start, str(error)) not in self._refused:
+            self.add(error.kind, f"{what} is left out: {error}", span)
 
     def add_once(self, kind: str, message: str, span: Span) -> None:
         """Name what is assumed, and is the same wherever it is met, at the first place only."""

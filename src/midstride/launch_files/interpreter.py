@@ -11,14 +11,13 @@ from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, ParametersGiven
 from midstride.launch_files.entity import ENDINGS, Entity, NotALaunchFile, read_entity
 from midstride.launch_files.findings import ImportFindings, UnknownValue
+from midstride.launch_files.launch_grammar import check_grammar, text_of
 from midstride.launch_files.node_elements import NodeElements
 from midstride.launch_files.python_files import carried_out
 from midstride.launch_files.values import value_of_text
 
 MAX_INCLUDES: Final = 32
 MAX_INCLUSIONS: Final = 1024
-# They change nothing that a node does.
-_IGNORED: Final = frozenset({"log", "set_ros_log_dir"})
 # Elements and attributes of ROS 1's roslaunch that ROS 2's launch does not have.
 _OF_ROS_1: Final = frozenset({"rosparam", "param", "machine", "test", "remap"})
 
@@ -40,31 +39,30 @@ class Interpreter(NodeElements):
         # What timers start: when (s), how that is said, the elements, and their launch file.
         self._postponed: list[tuple[float, str, Sequence[Entity], str]] = []
         self._stated: set[str] = set()
-        # The attributes of each element and its nested ones, if they are the same for all of its kind.
-        self._elements: Final[dict[str, tuple[str | None, str | None, Callable[[Entity, Context], None]]]] = {
-            "arg": ("name default", "choice", self._arg),
-            "let": ("name value", "", self._let),
-            "group": ("scoped forwarding", None, self._group),
-            "include": ("file", "arg let", self._include),
-            "push-ros-namespace": ("namespace", "", self._push_namespace),
-            "push_ros_namespace": ("namespace", "", self._push_namespace),
-            "set_remap": ("from to", "", self._set_remap),
-            "set_parameter": ("name value", "", self._set_parameter),
-            "set_parameters_from_file": ("filename", "", self._set_parameters_from_file),
-            "set_use_sim_time": ("value", "", self._set_use_sim_time),
-            "set_env": ("name value", "", self._set_env),
-            "append_env": ("name value prepend separator", "", self._append_env),
-            "unset_env": ("name", "", self._unset_env),
-            "reset_env": ("", "", self._reset_env),
-            "reset": ("", "keep", self._reset),
-            "timer": ("period cancel_on_shutdown", None, self._timer),
-            "ros_timer": ("period", None, self._timer),
-            "shutdown": ("reason", "", self._shutdown),
-            "node": (None, None, self.node),
-            "lifecycle_node": (None, None, self.node),
-            "node_container": (None, None, self.container),
-            "load_composable_node": ("target", None, self.left_out),
-            "executable": (None, None, self.executable),
+        self._elements: Final[dict[str, Callable[[Entity, Context], None]]] = {
+            "arg": self._arg,
+            "let": self._let,
+            "group": self._group,
+            "include": self._include,
+            "push-ros-namespace": self._push_namespace,
+            "push_ros_namespace": self._push_namespace,
+            "set_remap": self._set_remap,
+            "set_parameter": self._set_parameter,
+            "set_parameters_from_file": self._set_parameters_from_file,
+            "set_use_sim_time": self._set_use_sim_time,
+            "set_env": self._set_env,
+            "append_env": self._append_env,
+            "unset_env": self._unset_env,
+            "reset_env": self._reset_env,
+            "reset": self._reset,
+            "timer": self._timer,
+            "ros_timer": self._timer,
+            "shutdown": self._shutdown,
+            "node": self.node,
+            "lifecycle_node": self.node,
+            "node_container": self.container,
+            "load_composable_node": self.left_out,
+            "executable": self.executable,
         }
 
     def main(self, path: str, context: Context) -> None:
@@ -91,6 +89,7 @@ class Interpreter(NodeElements):
             raise UnknownValue(
                 "it is a launch file of ROS 1, which ROS 2 does not start; see docs/how-to/ros1.md", "include"
             )
+        check_grammar(root, self.findings)
         self.system.files += 1
         if self._depth > 0:
             self._check_arguments(root, context)
@@ -184,26 +183,19 @@ class Interpreter(NodeElements):
             self._entity(entity, context)
 
     def _entity(self, entity: Entity, context: Context) -> None:
-        if entity.tag in _IGNORED:
+        function = self._elements.get(entity.tag)
+        if function is None:  # it changes nothing that a node does, or launch refuses it
             return
-        if entity.tag not in self._elements:
-            self.findings.add("unsupported", f"the element `{entity.tag}` is left out", entity.span)
-            return
-        known, children, function = self._elements[entity.tag]
         try:
             if not self.applies(entity, context):
                 return
-            if known is not None:
-                self.expect(entity, known)
-            if children is not None:
-                self.expect_children(entity, children)
             function(entity, context)
             for name in dict.fromkeys(context.trace.differing):
                 message = f"`$({name})` after an include is that of the included file in launch up to 3.7; not so here"
                 self.findings.add("include", message, entity.span, left_out=False)
             context.trace.differing.clear()
         except UnknownValue as error:
-            self.findings.add(error.kind, f"`{entity.tag}` is left out: {error}", entity.span)
+            self.findings.leave_out(f"`{entity.tag}`", error, entity.span)
             if entity.tag in {"arg", "let"}:  # whether it is set is not known, so no later value may be taken for it
                 name = str(entity.attributes.get("name"))
                 context.variables[name] = UnknownValue(f"whether `{name}` is set is not known", error.kind)
@@ -211,7 +203,7 @@ class Interpreter(NodeElements):
     # -- variables -------------------------------------------------------------------------------------------
 
     def _arg(self, entity: Entity, context: Context) -> None:
-        name = self.text_of(entity, "name")
+        name = text_of(entity, "name")
         self.undeclared.pop(name, None)
         if name not in context.variables:
             if "default" in entity.attributes:
@@ -220,7 +212,7 @@ class Interpreter(NodeElements):
                 message = f"`{name}` has no value and no default; pass `{name}:=…`"
                 self.findings.add("argument", message, entity.span)
                 context.variables[name] = UnknownValue(f"`{name}` has no value", "argument")
-        choices = [self.text_of(choice, "value") for choice in entity.named("choice")]
+        choices = [text_of(choice, "value") for choice in entity.named("choice")]
         value = context.variables[name]
         if choices and isinstance(value, str) and value not in choices:
             message = f"`{name}` is `{value}`, which is not among its choices: {', '.join(choices)}"
@@ -231,17 +223,17 @@ class Interpreter(NodeElements):
 
     def _assign(self, name: str, entity: Entity, attribute: str, context: Context) -> None:
         """Set a variable. That its value is not known is reported where it is needed."""
-        self.text_of(entity, attribute)
+        text_of(entity, attribute)
         try:
             context.variables[name] = self.text(entity, attribute, context)
         except UnknownValue as error:
             context.variables[name] = UnknownValue(f"`{name}` has no known value: {error}", error.kind)
 
     def _set_env(self, entity: Entity, context: Context) -> None:
-        context.set_environment(self.text(entity, "name", context), self.text(entity, "value", context))
+        context.set_environment(self.variable_name(entity, context), self.text(entity, "value", context))
 
     def _append_env(self, entity: Entity, context: Context) -> None:
-        name, value = self.text(entity, "name", context), self.text(entity, "value", context)
+        name, value = self.variable_name(entity, context), self.text(entity, "value", context)
         separator = self.text(entity, "separator", context) if "separator" in entity.attributes else os.pathsep
         before = [context.environment[name]] if name in context.environment else []
         prepend = self.boolean(entity, "prepend", context, False)
@@ -274,8 +266,6 @@ class Interpreter(NodeElements):
         path = self.path(entity, "file", context)
         name = os.path.basename(path)
         given = [(self.text(each, "name", context), each) for each in entity.named("arg", "let")]
-        for _, each in given:
-            self.expect(each, "name value", "")
         if self._depth >= MAX_INCLUDES or self.system.files >= MAX_INCLUSIONS:
             raise UnknownValue(f"`{name}`: launch files include too many others", "include")
         for argument, each in given:  # as in ROS, they stay set after the include
@@ -294,8 +284,8 @@ class Interpreter(NodeElements):
         context.namespace = self.joined(context.namespace, self.text(entity, "namespace", context))
 
     def _timer(self, entity: Entity, context: Context) -> None:
-        stated = self.required(entity, "period")
-        text = self.text(entity, "period", context) if isinstance(stated, str) else str(stated)
+        stated = entity.attributes.get("period")
+        text = str(stated) if isinstance(stated, (int, float)) else self.text(entity, "period", context)
         try:
             period = float(text)
         except ValueError:

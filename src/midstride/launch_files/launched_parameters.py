@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.parameter_files import SectionInFile, read_sections, sections_of
+from midstride.lang.rcl_parameters import ParameterValueAt
 from midstride.lang.source import Source, Span
 from midstride.lang.yaml_events import InvalidYaml
 from midstride.launch_files.allowed_files import ReadableFiles
@@ -21,16 +22,18 @@ from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.launched_nodes import LaunchedNode
 from midstride.model.component import ROS_PARAMETERS, ParameterValue
 
+# The section of all nodes of a process.
+_ALL: Final = "/**"
 # What rcl takes for the name of a parameter in `-p NAME:=VALUE`.
 _RULE: Final = re.compile(r"(?:(?P<node>[A-Za-z_/~*][\w/~*]*):)?(?P<name>[A-Za-z_][\w./]*):=(?P<value>.*)", re.DOTALL)
 
 
 @dataclass(slots=True)
 class LaunchedParameters:
-    """What a node has: the ``files`` that are named, by their paths, values that they do not have, and values that
-    replace theirs. ``effective``: all of its values."""
+    """What a node has: ``statements`` in their order, each the path of a file that is named, or values for all nodes of
+    its process; ``values`` that these do not have, and ``replaced`` ones. ``effective``: all of its values."""
 
-    files: list[str] = field(default_factory=list)
+    statements: list[str | dict[str, ParameterValue]] = field(default_factory=list)
     values: dict[str, ParameterValue] = field(default_factory=dict)
     replaced: dict[str, ParameterValue] = field(default_factory=dict)
     effective: dict[str, ParameterValue] = field(default_factory=dict)
@@ -61,8 +64,8 @@ class ParameterReader:
         self._may_name = may_name
         self._sections: dict[tuple[str, str | None], _Read | None] = {}
         self._files_read: dict[str, tuple[Span, list[SectionInFile], bool]] = {}
-        # By node: the parameters that launch gives to all nodes of its process, and the sections of its files.
-        self._for_all: dict[str, tuple[list[str], list[SectionInFile]]] = {}
+        # By node: what launch gives to its process.
+        self._given: dict[str, list[tuple[ParametersGiven, _Read]]] = {}
 
     def parameters(self, node: LaunchedNode) -> LaunchedParameters:
         """What ROS gives the node: of the sections that apply to it, in the order in which each is first met, the last.
@@ -70,34 +73,82 @@ class ParameterReader:
         A file is named if the specification may read it; another one is stated by the values that it has for this node.
         """
         read = [(given, found) for given in node.settings if (found := self._read(given, node)) is not None]
+        self._given[node.role] = read
         effective = self._effective([found for _, found in read], node)
         for name in [name for name, value in effective.items() if value == []]:
             del effective[name]
             message = f"the parameter `{name}` of `{node.role}` is left out: an empty list has no type in ROS"
             self._findings.add("parameters", message, node.span)
-        named = {
-            given.path: found
-            for given, found in read
-            if given.path is not None and given.text is None and self._may_name(given.path)
-        }
-        of_files = self._effective(list(named.values()), node)
-        stated = [section for given, found in read if given.path is None for section in found.sections]
-        for_all = [name for section in stated if "*" in section.pattern for name in section.values]
-        in_files = [section for given, found in read if given.path is not None for section in found.sections]
-        # Of these, the language has the time for all nodes of a process.
-        self._for_all[node.role] = [name for name in for_all if name not in ROS_PARAMETERS], in_files
+        statements, of_statements = self._statements(read, node, effective)
         for given, found in read:
             if given.path is not None:
-                self._files_read.setdefault(given.path, (given.span, found.sections, given.path in named))
+                self._files_read.setdefault(given.path, (given.span, found.sections, given.path in statements))
         return LaunchedParameters(
-            list(named),
-            {name: value for name, value in effective.items() if name not in of_files},
-            {name: value for name, value in effective.items() if name in of_files and not _same(value, of_files[name])},
+            statements,
+            {name: value for name, value in effective.items() if name not in of_statements},
+            {
+                name: value
+                for name, value in effective.items()
+                if name in of_statements and not _same(value, of_statements[name])
+            },
             effective,
         )
 
-    def _effective(self, read: Sequence[_Read], node: LaunchedNode) -> dict[str, ParameterValue]:
-        """The values of a node, as rcl and rclcpp have them after all sections were read."""
+    def _statements(
+        self,
+        read: Sequence[tuple[ParametersGiven, _Read]],
+        node: LaunchedNode,
+        effective: Mapping[str, ParameterValue],
+    ) -> tuple[list[str | dict[str, ParameterValue]], dict[str, ParameterValue]]:
+        """The files that are named and the values for all nodes of the process, in their order; what the node has of
+        these, since of statements of the language the later one wins.
+
+        Values for all nodes are not among them for a node without a name, whose own ones are for all, and for the time;
+        nor those of another type than the node's own, which the language has not.
+        """
+        for_all: list[dict[str, ParameterValue]] = []
+        last: dict[str, int] = {}
+        for number, (given, found) in enumerate(read):
+            sections = () if node.unnamed or self._is_named(given) else found.sections
+            for_all.append(
+                {
+                    name: value.value
+                    for section in sections
+                    for name, value in section.values.items()
+                    if section.pattern == _ALL
+                    and name not in ROS_PARAMETERS
+                    and name in effective
+                    and _type_of(value.value) == _type_of(effective[name])
+                }
+            )
+            last |= dict.fromkeys(for_all[-1], number)
+        statements: list[str | dict[str, ParameterValue]] = []
+        values: dict[str, ParameterValue] = {}
+        files: list[_Read] = []
+        for number, (given, found) in enumerate(read):
+            if self._is_named(given) and given.path not in statements:
+                assert given.path is not None
+                statements.append(given.path)
+                files.append(found)
+            stated = {name: value for name, value in for_all[number].items() if last[name] == number}
+            if stated:
+                values |= self._effective(files, node) | stated
+                files = []
+                if statements and isinstance(statements[-1], dict):
+                    statements[-1] |= stated
+                else:
+                    statements.append(stated)
+        return statements, values | self._effective(files, node)
+
+    def _is_named(self, given: ParametersGiven) -> bool:
+        return given.path is not None and given.text is None and self._may_name(given.path)
+
+    def _effective(
+        self, read: Sequence[_Read], node: LaunchedNode, other: str | None = None
+    ) -> dict[str, ParameterValue]:
+        """The values of a node, or of an ``other`` one in its process, as rcl and rclcpp have them after all sections
+        were read."""
+        role = node.role if other is None else other
         merged: dict[str, list[SectionInFile]] = {}
         for section in (section for found in read for section in found.sections):
             merged.setdefault(section.pattern, []).append(section)
@@ -105,11 +156,11 @@ class ParameterReader:
             try:
                 merged = {section.pattern: [section] for section in sections_of([found.source for found in read])}
             except InvalidYaml as refused:
-                message = f"ROS refuses the parameters of `{node.role}`, which are read one after the other: {refused}"
+                message = f"ROS refuses the parameters of `{role}`, which are read one after the other: {refused}"
                 self._findings.add("parameters", message, node.span, left_out=False)
         values: dict[str, ParameterValue] = {}
         for parts in merged.values():
-            if parts[0].matches(node.role):
+            if parts[0].matches(role):
                 for section in parts:
                     values |= {name: value for name, (value, _) in section.values.items()}
         return values
@@ -141,30 +192,57 @@ class ParameterReader:
                 what = f"of `{name}`, what is for no node named here ({few}) is left out"
                 self._findings.add("parameters", f"{what}; {remedy}", span)
 
-    def note_values_for_all(self, nodes: Sequence[LaunchedNode]) -> None:
-        """Name what launch gives to further nodes of a process as well, where files show that there may be some.
-
-        What a specification states for a node is for that node; only one without a name shares it with the others.
-        """
-        for node in nodes:
-            names, sections = self._for_all[node.role]
-            others = [
-                each.pattern
-                for each in sections
-                if not any(
-                    each.matches(other.role) or f"/{other.role}".endswith(f"/{each.pattern.strip('/')}")
-                    for other in nodes
-                )
+    def note_values_for_all(
+        self,
+        node: LaunchedNode,
+        statements: Sequence[str | Mapping[str, ParameterValue]],
+        nodes: Sequence[LaunchedNode],
+    ) -> None:
+        """Name what further nodes of a process have with launch and not with the ``statements`` of the specification,
+        where files show that there may be some."""
+        if node.unnamed:
+            return
+        given = self._given[node.role]
+        for_all = {
+            name
+            for each, found in given
+            if not self._is_named(each)
+            for section in found.sections
+            if section.pattern == _ALL
+            for name in section.values
+        }
+        of_files = {each.path: found for each, found in given if self._is_named(each)}
+        stated = [of_files[each] if isinstance(each, str) else _for_all(each, node.span) for each in statements]
+        names, others = [], []
+        for section in (section for each, found in given if each.path is not None for section in found.sections):
+            role = section.pattern.strip("/")
+            if "*" in role or any(
+                section.matches(other.role) or f"/{other.role}".endswith(f"/{role}") for other in nodes
+            ):
+                continue
+            here, there = (
+                self._effective(stated, node, role),
+                self._effective([found for _, found in given], node, role),
+            )
+            different = [
+                name
+                for name in for_all
+                if name not in ROS_PARAMETERS
+                and name in there
+                and not (name in here and _same(there[name], here[name]))
             ]
-            if names and others and not node.unnamed:
-                few, further = (
-                    ", ".join(f"`{each}`" for each in list(dict.fromkeys(them))[:4]) for them in (names, others)
-                )
-                message = (
-                    f"launch gives {few} to all nodes of the process of `{node.role}`, here that node alone has it: if "
-                    f"{further} is in this process, state it there too, in a section of a parameter file"
-                )
-                self._findings.add("parameters", message, node.span, left_out=False)
+            if different:
+                names += sorted(different)
+                others.append(section.pattern)
+        if names:
+            few, further = (
+                ", ".join(f"`{each}`" for each in list(dict.fromkeys(them))[:4]) for them in (names, others)
+            )
+            message = (
+                f"launch gives {few} to all nodes of the process of `{node.role}`, here that node alone has it: if "
+                f"{further} is in this process, state it there too, in a section of a parameter file"
+            )
+            self._findings.add("parameters", message, node.span, left_out=False)
 
     def _read(self, given: ParametersGiven, node: LaunchedNode) -> _Read | None:
         if given.rule is not None:
@@ -223,6 +301,12 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
             yield f"{prefix}{name}", value
 
 
+def _for_all(values: Mapping[str, ParameterValue], span: Span) -> _Read:
+    """What comes to a parameter file with values for all nodes."""
+    section = SectionInFile(_ALL, span, {name: ParameterValueAt(value, span) for name, value in values.items()})
+    return _Read(Source("parameters", written_file(_ALL, values)), [section])
+
+
 def _overlap(parts: Sequence[SectionInFile]) -> bool:
     """Return whether two sections state the same parameter, or one that is nested in a parameter of the other."""
     seen: set[str] = set()
@@ -232,6 +316,10 @@ def _overlap(parts: Sequence[SectionInFile]) -> bool:
             return True
         seen |= names
     return False
+
+
+def _type_of(value: ParameterValue) -> tuple[type, ...]:
+    return (list, *{type(each) for each in value}) if isinstance(value, list) else (type(value),)
 
 
 def _same(first: ParameterValue, second: ParameterValue) -> bool:

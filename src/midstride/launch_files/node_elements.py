@@ -14,37 +14,34 @@ from midstride.ament_index import prefixes
 from midstride.lang.source import Span
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, ParametersGiven
+from midstride.launch_files.element_attributes import ElementAttributes
 from midstride.launch_files.ending_programs import ends
-from midstride.launch_files.entity import Entity, EntityValue
+from midstride.launch_files.entity import Entity
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
+from midstride.launch_files.launch_grammar import not_from_0, text_of
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedRespawn, LaunchedSystem
 from midstride.launch_files.launched_parameters import written_file
 from midstride.launch_files.ros_arguments import RosArguments, split_ros_arguments, words_of
-from midstride.launch_files.substitutions import performed, substituted, truth, typed_truth
-from midstride.launch_files.values import plain, value_of
+from midstride.launch_files.substitutions import performed, substituted, typed_truth
+from midstride.launch_files.values import value_of
 from midstride.model.component_rules import MAX_NUMBER
 
-# Attributes that every element may have, and those that change nothing that a node does.
-_ANYWHERE: Final = "if unless description output output_format emulate_tty exec_name"
-_PROCESS: Final = (
-    "launch-prefix respawn respawn_delay respawn_max_retries cwd shell on_exit sigterm_timeout sigkill_timeout"
-)
-_NODE: Final = f"pkg exec name namespace args ros_args {_PROCESS}"
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+# Where launch writes what a process prints, which changes nothing that a node does.
+_OUTPUTS: Final = ("screen", "log", "both", "own_log", "full")
 _COMPONENTS: Final = ("composable_node",)
 
 
-class NodeElements:
+class NodeElements(ElementAttributes):
     """Notes processes in ``system``, and in ``findings`` what was left out or assumed.
 
     ``later``: why what is met now is started after the others, and how long after them (s), if it is.
     """
 
     def __init__(self, files: ReadableFiles, findings: ImportFindings) -> None:
-        self.files = files
-        self.findings = findings
+        super().__init__(files, findings)
         self.system = LaunchedSystem()
         self.later: tuple[str, float] | None = None
 
@@ -52,7 +49,6 @@ class NodeElements:
 
     def node(self, entity: Entity, context: Context) -> None:
         """Raises UnknownValue."""
-        self.expect(entity, _NODE)
         program = self.text(entity, "exec", context)
         package = self.text(entity, "pkg", context) if "pkg" in entity.attributes else ""
         self._check_package(package, program, entity.span, context)
@@ -87,8 +83,7 @@ class NodeElements:
 
     def executable(self, entity: Entity, context: Context) -> None:
         """Any program. Raises UnknownValue."""
-        self.expect(entity, f"cmd name {_PROCESS}")
-        words = words_of(self.text_of(entity, "cmd"), lambda template: performed(template, context))
+        words = words_of(text_of(entity, "cmd"), lambda template: performed(template, context))
         label = self.text(entity, "name", context) if "name" in entity.attributes else ""
         self._note(entity, context, self._program(words, label, entity.span, context))
 
@@ -207,13 +202,15 @@ class NodeElements:
         shell = self.flag(entity, "shell", False)
         if "on_exit" in entity.attributes:
             self.findings.add("unsupported", f"the attribute `on_exit` of `{entity.tag}` is left out", entity.span)
+        if "output" in entity.attributes and (output := self.text(entity, "output", context)) not in _OUTPUTS:
+            message = f"launch does not start it: `output` is `{shortened(output)}`, and can be {', '.join(_OUTPUTS)}"
+            self.findings.add("refused", message, entity.span, left_out=False)
         variables = dict(context.variables_set)
         for variable in entity.named("env"):
             try:
-                self.expect(variable, "name value", "")
-                variables[self.text(variable, "name", context)] = self.text(variable, "value", context)
+                variables[self.variable_name(variable, context)] = self.text(variable, "value", context)
             except UnknownValue as error:
-                self.findings.add(error.kind, f"an environment variable is left out: {error}", variable.span)
+                self.findings.leave_out("an environment variable", error, variable.span)
         self._add(
             replace(
                 node,
@@ -225,12 +222,6 @@ class NodeElements:
             folder,
             shell,
         )
-        for child in entity.children:
-            if child.tag not in {"param", "remap", "env", *_COMPONENTS} or (
-                child.tag != "env" and not _is_node(entity)
-            ):
-                message = f"the element `{child.tag}` in `{entity.tag}` is left out"
-                self.findings.add("unsupported", message, child.span)
 
     def _add(self, node: LaunchedNode, folder: str | None, shell: bool) -> None:
         if shell:
@@ -249,9 +240,9 @@ class NodeElements:
         if attribute not in entity.attributes:
             return []
         try:
-            return words_of(self.text_of(entity, attribute), lambda template: performed(template, context))
+            return words_of(text_of(entity, attribute), lambda template: performed(template, context))
         except UnknownValue as error:
-            self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
+            self.findings.leave_out(f"`{attribute}` of a node", error, entity.span)
             return []
 
     def _given_by_arguments(self, ros: RosArguments, span: Span) -> Iterator[ParametersGiven]:
@@ -301,14 +292,13 @@ class NodeElements:
                 try:
                     stated = substituted(stated, context)
                 except UnknownValue as error:
-                    self.findings.add(error.kind, f"`{attribute}` of a node is left out: {error}", entity.span)
+                    self.findings.leave_out(f"`{attribute}` of a node", error, entity.span)
                     continue
             seconds = _seconds(stated)
             if seconds is not None:
                 yield f"{name} {seconds:g} s"
             elif attribute in entity.attributes:
-                message = f"`{attribute}` of a node is left out: `{shortened(str(stated))}` is not a number from 0"
-                self.findings.add("unsupported", message, entity.span)
+                self.findings.leave_out(f"`{attribute}` of a node", not_from_0(stated), entity.span)
 
     def _number(self, entity: Entity, attribute: str) -> float | None:
         """A number that the node states; launch carries out no substitutions in it."""
@@ -321,26 +311,23 @@ class NodeElements:
                 return found
         except ValueError:
             pass
-        message = f"`{attribute}` of a node is left out: `{shortened(str(stated))}` is not a number from 0"
-        self.findings.add("unsupported", message, entity.span)
+        self.findings.leave_out(f"`{attribute}` of a node", not_from_0(stated), entity.span)
         return None
 
     def _remaps(self, entity: Entity, context: Context) -> Iterator[tuple[str, str]]:
         for remap in entity.named("remap"):
             try:
-                self.expect(remap, "from to", "")
                 old, new = self.text(remap, "from", context), self.text(remap, "to", context)
                 if not new or old in {"__node", "__ns"}:
                     raise UnknownValue(f"launch passes `-r {shortened(old)}:={shortened(new)}`", "unsupported")
                 yield old, new
             except UnknownValue as error:
-                self.findings.add(error.kind, f"a remapping is left out: {error}", remap.span)
+                self.findings.leave_out("a remapping", error, remap.span)
 
     def _settings(self, entity: Entity, section: str, context: Context) -> Iterator[ParametersGiven]:
         """Of the parameters in an element; launch writes a file with the ``section`` for each value."""
         for parameter in entity.named("param"):
             try:
-                self.expect(parameter, "name value type from allow_substs", "param")
                 if "from" in parameter.attributes:
                     yield self._file(parameter, context)
                 elif "allow_substs" in parameter.attributes:
@@ -350,9 +337,9 @@ class NodeElements:
                     yield ParametersGiven(parameter.span, text=text)
             except UnknownValue as error:
                 what = parameter.attributes.get("name", parameter.attributes.get("from", ""))
-                message = f"the parameter or file `{what}` is left out: {error}"
-                kind = error.kind if error.kind != "include" else "parameters"
-                self.findings.add(kind, message, parameter.span)
+                if error.kind == "include":
+                    error.kind = "parameters"
+                self.findings.leave_out(f"the parameter or file `{what}`", error, parameter.span)
 
     def _file(self, entity: Entity, context: Context) -> ParametersGiven:
         if "name" in entity.attributes:
@@ -374,101 +361,10 @@ class NodeElements:
             return {name: value_of(entity, "value", lambda template: performed(template, context))}
         values: dict[str, Any] = {}
         for each in nested:
-            self.expect(each, "name value type", "param")
             values |= self._values(each, context)
         return {name: values}
 
-    # -- attributes ------------------------------------------------------------------------------------------
-
-    def expect(self, entity: Entity, known: str, children: str | None = None) -> None:
-        """Note each attribute that is not among the ``known`` ones, and each element that is not among the children.
-
-        What has ``children`` is part of another element, and has no condition.
-        """
-        allowed = {*known.split(), *(_ANYWHERE.split() if children is None else ())}
-        for name in entity.attributes:
-            if name not in allowed and not name.endswith("-sep"):
-                message = f"the attribute `{name}` of `{entity.tag}` is left out"
-                self.findings.add("unsupported", message, entity.span)
-        if children is not None:
-            self.expect_children(entity, children)
-
-    def expect_children(self, entity: Entity, known: str) -> None:
-        """Note each nested element that is not among the ``known`` ones."""
-        for child in entity.children:
-            if child.tag not in known.split():
-                message = f"the element `{child.tag}` in `{entity.tag}` is left out"
-                self.findings.add("unsupported", message, child.span)
-
-    def applies(self, entity: Entity, context: Context) -> bool:
-        """Whether the conditions of the element hold. Raises UnknownValue."""
-        if "if" in entity.attributes and "unless" in entity.attributes:
-            raise UnknownValue("it has both `if` and `unless`, which launch refuses", "condition")
-        for attribute, wanted in (("if", True), ("unless", False)):
-            if attribute in entity.attributes:
-                try:
-                    value = truth(self.text(entity, attribute, context))
-                except UnknownValue as error:
-                    raise UnknownValue(
-                        f"its condition `{attribute}` has no known value: {error}", "condition"
-                    ) from None
-                if value is not wanted:
-                    return False
-        return True
-
-    def required(self, entity: Entity, attribute: str) -> EntityValue:
-        """Raises UnknownValue."""
-        if attribute not in entity.attributes:
-            raise UnknownValue(f"`{entity.tag}` has no `{attribute}`", "unsupported")
-        return entity.attributes[attribute]
-
-    def text_of(self, entity: Entity, attribute: str) -> str:
-        """The text of an attribute, which launch wants to be text. Raises UnknownValue."""
-        value = self.required(entity, attribute)
-        if not isinstance(value, str):
-            message = f"`{attribute}: {plain(value)}` is no text, which launch wants; write it in quotes"
-            raise UnknownValue(message, "unsupported")
-        return value
-
-    def text(self, entity: Entity, attribute: str, context: Context) -> str:
-        """The value of an attribute, with its substitutions carried out. Raises UnknownValue."""
-        return substituted(self.text_of(entity, attribute), context)
-
-    def boolean(self, entity: Entity, attribute: str, context: Context, otherwise: bool) -> bool:
-        """Raises UnknownValue."""
-        value = entity.attributes.get(attribute, otherwise)
-        return value if isinstance(value, bool) else typed_truth(substituted(plain(value), context))
-
-    def flag(self, entity: Entity, attribute: str, otherwise: bool) -> bool:
-        """Return whether an attribute is set in which launch carries out no substitution: any text there sets it.
-
-        In XML, the words of YAML for true and false are no text.
-        """
-        value = entity.attributes.get(attribute, otherwise)
-        try:
-            true = value if isinstance(value, bool) else typed_truth(plain(value))
-            if true or not isinstance(value, str) or not entity.typed:
-                return true
-            raise UnknownValue(plain(value))
-        except UnknownValue:
-            message = (
-                f"launch takes any text for true in `{attribute}` of `{entity.tag}`, `{shortened(plain(value))}` too"
-            )
-            self.findings.add("unsupported", message, entity.span, left_out=False)
-            return True
-
-    def path(self, entity: Entity, attribute: str, context: Context) -> str:
-        """An absolute path; a relative one is looked for beside the launch file. Raises UnknownValue."""
-        text = self.text(entity, attribute, context)
-        if not text or "\0" in text:
-            raise UnknownValue("this is not a file name", "include")
-        folder = os.path.dirname(context.file)
-        path = os.path.normpath(os.path.join(folder, text))
-        elsewhere = not os.path.isabs(text) and os.path.realpath(folder) != os.path.realpath(os.getcwd())
-        if elsewhere and os.path.exists(path):
-            message = f"`{text}` is relative to the folder in which launch is started; here, to that of the launch file"
-            self.findings.add("include", message, entity.span, left_out=False)
-        return path
+    # -- names -----------------------------------------------------------------------------------------------
 
     def joined(self, base: str | None, more: str | None) -> str | None:
         """``more`` in the namespace ``base``, as an absolute one; None if there is neither. Raises UnknownValue."""
@@ -520,10 +416,6 @@ def _seconds(stated: object) -> float | None:
 def _gate(state: str) -> str:
     """The gate of a node whose lifecycle has a ``state``, or that has none: Midstride manages it unless others do."""
     return "lifecycle preload" if state else "preload"
-
-
-def _is_node(entity: Entity) -> bool:
-    return entity.tag != "executable"
 
 
 def _stem(path: str) -> str:

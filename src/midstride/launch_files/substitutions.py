@@ -17,7 +17,7 @@ from typing import Final, TypeAlias
 
 from midstride.launch_files.context import Context
 from midstride.launch_files.expression import evaluate, shortened
-from midstride.launch_files.findings import UnknownValue
+from midstride.launch_files.findings import Tolerated, UnknownValue
 from midstride.launch_files.own_session import run_command
 
 MAX_NESTING: Final = 32
@@ -136,12 +136,37 @@ def _call(call: SubstitutionCall, context: Context) -> str:
     empty = "[]" if call.name in {"equals", "not-equals"} else ""
     values = [empty if argument == ("",) else performed(argument, context) for argument in call.arguments]
     function = _FUNCTIONS.get(call.name)
+    if function is None and call.name not in _ONLY_IN_LAUNCH:
+        raise _unknown(call)
     if function is None:
         raise UnknownValue(f"`{shortened(call.text)}`: the substitution `{call.name}` is not carried out here")
     low, high, perform = function
     if not low <= len(values) <= high:
-        raise UnknownValue(f"`{shortened(call.text)}`: wrong number of arguments")
+        raise _miscounted(call)
     return perform(context, values)
+
+
+def _unknown(call: SubstitutionCall) -> UnknownValue:
+    return UnknownValue(f"`{shortened(call.text)}`: there is no substitution `{call.name}`")
+
+
+def _miscounted(call: SubstitutionCall) -> UnknownValue:
+    return UnknownValue(f"`{shortened(call.text)}`: wrong number of arguments")
+
+
+def check_calls(template: Template) -> None:
+    """Raise UnknownValue for the first substitution that launch has not, or not with so many arguments."""
+    for call in (part for part in template if isinstance(part, SubstitutionCall)):
+        for argument in call.arguments:
+            check_calls(argument)
+        if call.name in _NOT_IN_LAUNCH:
+            raise Tolerated(f"`{shortened(call.text)}`: {_NOT_IN_LAUNCH[call.name]}")
+        count = _ONLY_IN_LAUNCH.get(call.name)
+        if count is None and call.name not in _FUNCTIONS:
+            raise _unknown(call)
+        low, high = _FUNCTIONS[call.name][:2] if count is None else count
+        if not low <= len(call.arguments) <= high:
+            raise _miscounted(call)
 
 
 def truth(text: str) -> bool:
@@ -235,4 +260,18 @@ _FUNCTIONS: Final[dict[str, tuple[int, int, _Function]]] = {
     "or": (2, 2, lambda context, values: _word(any(map(typed_truth, values)))),
     "all": (1, _MANY, lambda context, values: _word(all(map(typed_truth, values)))),
     "any": (1, _MANY, lambda context, values: _word(any(map(typed_truth, values)))),
+}
+# How many arguments launch takes where that differs, and for what is not carried out here.
+_ONLY_IN_LAUNCH: Final = {
+    "if": (2, 3),
+    "eval": (1, 2),
+    "param": (1, 2),
+    "anon": (1, 1),
+    "log_dir": (0, 0),
+    "launch_log_dir": (0, 0),
+}
+# What launch 3.7 does not carry out.
+_NOT_IN_LAUNCH: Final = {
+    "optenv": "launch has no substitution `optenv`; write `$(env NAME DEFAULT)`",
+    **dict.fromkeys(("any", "all"), "launch carries it out after 3.7 only"),
 }

@@ -42,9 +42,7 @@ def value_of(entity: Entity, attribute: str, perform: Perform) -> LaunchValue:
     if attribute not in entity.attributes:
         raise UnknownValue(f"`{entity.tag}` has no `{attribute}`", "unsupported")
     stated = entity.attributes.get("type")
-    if stated is not None and stated not in _TYPES:
-        raise UnknownValue(f"`{stated}` is not a type of parameters", "parameters")
-    wanted = None if stated is None else _TYPES[str(stated)]
+    wanted = None if stated is None else type_named(stated)
     value = entity.attributes[attribute]
     separator = entity.attributes.get(f"{attribute}-sep")
     if entity.typed:
@@ -52,7 +50,7 @@ def value_of(entity: Entity, attribute: str, perform: Perform) -> LaunchValue:
     elif isinstance(value, str) and separator:
         value = _coerced_list(value.split(str(separator)), wanted)
     else:
-        value = _coerced(str(value), wanted, or_text=True)
+        value = coerced(str(value), wanted, or_text=True)
     if not isinstance(value, list):
         return _performed(_parsed(value), wanted, perform)
     members = [_parsed(each) for each in value]
@@ -63,6 +61,13 @@ def value_of(entity: Entity, attribute: str, perform: Perform) -> LaunchValue:
         raise UnknownValue(f"a list is not of the type `{stated}`", "parameters")
     done = [_performed(each, member_type, perform) for each in members]
     return _uniform(done)
+
+
+def type_named(name: EntityValue) -> tuple[type, bool] | None:
+    """The type of a value, and whether it is a list; None for any type. Raises UnknownValue."""
+    if not isinstance(name, str) or name not in _TYPES:
+        raise UnknownValue(f"`{name}` is not a type of parameters", "parameters")
+    return _TYPES[name]
 
 
 def value_of_text(text: str) -> LaunchValue:
@@ -89,13 +94,13 @@ def _parsed(value: Plain) -> Plain | Template:
 
 def _performed(value: Plain | Template, wanted: tuple[type, bool] | None, perform: Perform) -> LaunchValue:
     if isinstance(value, tuple):
-        return _coerced(perform(value), wanted, or_text=False)
+        return coerced(perform(value), wanted, or_text=False)
     if wanted is not None and (wanted[1] or not isinstance(value, wanted[0])):
         raise UnknownValue(f"`{plain(value)}` is not of the stated type", "parameters")
     return value
 
 
-def _coerced(text: str, wanted: tuple[type, bool] | None, *, or_text: bool) -> LaunchValue:
+def coerced(text: str, wanted: tuple[type, bool] | None, *, or_text: bool) -> LaunchValue:
     """``text`` as a value of the wanted type, or of that which it has in YAML. ``or_text``: else it stays text."""
     if wanted is None:
         try:
@@ -130,7 +135,7 @@ def _coerced_list(texts: list[str], wanted: tuple[type, bool] | None) -> list[Pl
     if wanted is not None and not wanted[1]:
         raise UnknownValue("a list is not of the stated type", "parameters")
     kind = None if wanted is None else (wanted[0], False)
-    members = [_coerced(text, kind, or_text=True) for text in texts]
+    members = [coerced(text, kind, or_text=True) for text in texts]
     found = _allowed(members, True)
     assert isinstance(found, list)
     return found

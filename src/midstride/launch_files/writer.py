@@ -67,8 +67,7 @@ class SpecificationDraft:
         lifecycle = with_one_manager(nodes, parameters, self._management, self._findings)
         nodes = lifecycle.nodes
         self._reader.note_other_sections(nodes)
-        self._reader.note_values_for_all(nodes)
-        bodies = {node.role: self._body(node, parameters[node.role]) for node in nodes}
+        bodies = {node.role: self._body(node, parameters[node.role], nodes) for node in nodes}
         names = _component_names(nodes, bodies)
         lines = [*(f"# {on_one_line(line)}" for line in self._heading(imported_from)), f"system {self._name}", ""]
         written: set[str] = set()
@@ -114,8 +113,8 @@ class SpecificationDraft:
         yield f"Imported from {imported_from}. A launch file does not state ports: while the nodes run,"
         yield "`midstride capture --into FILE` adds what they publish and subscribe to."
 
-    def _body(self, node: LaunchedNode, parameters: LaunchedParameters) -> list[str]:
-        """The statements of the node's component."""
+    def _body(self, node: LaunchedNode, parameters: LaunchedParameters, nodes: Sequence[LaunchedNode]) -> list[str]:
+        """The statements of the node's component, which is one of ``nodes``."""
         command = quoted(node.run())
         if command is None:
             message = f"the command of `{node.role}` cannot be written; it is `false`"
@@ -132,13 +131,22 @@ class SpecificationDraft:
             self._findings.add("once", message, node.span, left_out=False)
         lines = [f"run {command or quoted('false')}{of_package}{after}{stop} {gate}"]
         lines += self._environment(node)
-        files = [quoted(os.path.relpath(path, self._folder)) for path in parameters.files]
-        self._named.update(parameters.files)
         stated, beside = self._separated(node, parameters.values)
+        written: list[str | dict[str, ParameterValue]] = []
+        for statement in parameters.statements:
+            if isinstance(statement, str):
+                self._named.add(statement)
+                lines.append(f"parameters {quoted(os.path.relpath(statement, self._folder))}")
+                written.append(statement)
+            else:
+                for_all, long = self._separated(node, statement)
+                lines += ["parameters for all {", *for_all, "}"] if for_all else []
+                beside |= {name: parameters.effective[name] for name in long}
+                written.append({name: value for name, value in statement.items() if name not in long})
         if beside and self._target is not None:
-            files.append(quoted(parameter_file_beside(self._target).name))
+            lines.append(f"parameters {quoted(parameter_file_beside(self._target).name)}")
             self._beside.setdefault(node.role, {}).update(beside)
-        lines += [f"parameters {file}" for file in files]
+        self._reader.note_values_for_all(node, written, nodes)
         return [*lines, "parameters {", *stated, "}"] if stated else lines
 
     def _environment(self, node: LaunchedNode) -> Iterator[str]:
@@ -173,8 +181,9 @@ class SpecificationDraft:
         return stated, beside
 
     def _values(self, node: LaunchedNode, values: Mapping[str, ParameterValue]) -> list[str]:
-        """The values that replace those of the files that are named."""
-        stated, beside = self._separated(node, values)
+        """The values that replace those of files that are named, and those for all nodes of the process."""
+        written = self._beside.get(node.role, {})
+        stated, beside = self._separated(node, {name: value for name, value in values.items() if name not in written})
         for name in beside:
             message = (
                 f"the parameter `{name}` of `{node.role}` keeps the value of its file: the other cannot be written"
