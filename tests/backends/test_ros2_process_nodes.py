@@ -96,6 +96,18 @@ def test_two_nodes_of_its_name_are_one_other() -> None:
     assert answer == {"box": OtherNodes((OtherNode("/box", namesake=True),))}
 
 
+def test_a_process_without_a_node_of_the_name_that_is_meant_says_so() -> None:
+    from midstride.backends.ros2.manager.process_nodes import AskedProcess, other_nodes
+
+    graph = DrawnGraph(FAST, [("/camera", fast(10))])
+    families = {"box": {10}}
+    (box,) = other_nodes(cast("Any", graph), [AskedProcess("box", "/box")], lambda: families).values()
+    assert box.without_own and box.names == ["/camera"]
+    listed = AskedProcess("box", "/box", listed=["/box"])
+    assert not other_nodes(cast("Any", graph), [listed], lambda: families)["box"].without_own
+    assert not other_nodes(cast("Any", graph), [AskedProcess("talker")], lambda: {"talker": {10}})["talker"].without_own
+
+
 def test_what_the_library_lists_counts_with_every_middleware() -> None:
     from midstride.backends.ros2.manager.process_nodes import AskedProcess
 

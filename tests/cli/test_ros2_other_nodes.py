@@ -74,6 +74,7 @@ component Gated {
 component Relayed like Gated { run "python3 several.py relayed" gate relay output out as /relayed/said }
 component Apart like Relayed { run "python3 several.py apart" gate relay unnamed output out as /apart/said }
 component Part { run "python3 several.py part" gate none renames part_first }
+component Misnamed { run "python3 several.py misnamed" gate none renames first }
 component Box { run "python3 several.py box" gate none unnamed }
 node gated : Gated { out -> /gated/said }
 node relayed : Relayed { out -> /relayed/said }
@@ -132,6 +133,11 @@ def test_every_node_of_a_process_is_listed_and_ended_only_where_it_is_meant(
     until(lambda: listed(midstride, "part") == {"/part_second": (["/part/other"], [])}, "it has another name")
     shown = midstride("status").out
     assert "also node /box_third" in shown and "a second node of this name" in shown, shown
+    # Where that is wrong, the name is for none.
+    assert midstride("add", "misnamed", "Misnamed", "--yes", timeout=60).status == 0
+    wrong = "`renames first` is the name of no node of its process, which has nodes /misnamed_first, /misnamed_second"
+    until(lambda: wrong in midstride("status", "--json").json["condition"]["headline"], "it is not named")
+    assert midstride("remove", "misnamed", "--yes", "--with-other-nodes", timeout=60).status == 0
     # What others load after the start counts, and is in the refusal at once.
     (tmp_path / "load").touch()
     loaded = (["/loaded/said"], ["service /save"])

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from midstride.backends.simulator import Simulator
-from midstride.model.component import ComponentSpec, Gate
+from midstride.model.component import ComponentSpec, Gate, NodeEndpoint
+from midstride.model.specification import initial
+from midstride.plan.change_builder import change_between
 from midstride.plan.request import PlanRequest
-from midstride.runtime.change.lost_endpoints import _as_planned, two_writers, what_ended
+from midstride.plan.strategies.registry import planner
+from midstride.runtime.change.lost_endpoints import _as_planned, two_writers, unseen_endpoints, what_ended
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.manager import Manager
 from midstride.runtime.process.launcher import LastKnown
 from midstride.verdicts import Assessments
 from midstride.wire.state import Endpoint, UndeclaredTopic
-from tests.runtime.systems import managed
+from tests.runtime.systems import example, managed
 from tests.wire.bare_state import bare_state
 
 GOALS = [
@@ -91,6 +95,23 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() ->
         "requests and goals of talker that are under way at ROS action /pick",
         "which instance writes on /diag",
     ]
+
+
+def test_a_plan_for_a_system_that_does_not_run_says_what_it_cannot_know() -> None:
+    """Of which nodes only the graph shows what else they have; and what a node of the API may have is stated."""
+    specification = example("talker")
+    talker = replace(specification.components["Talker"], allows=(NodeEndpoint("service", "/save"),))
+    listener = replace(specification.components["Listener"], gate="preload")
+    components = specification.components.set("Talker", talker).set("Listener", listener)
+    specification = replace(specification, components=components)
+    request = PlanRequest(restart=("talker", "listener"))
+    target = request.target(specification)
+    change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
+    found = {each.words for each in unseen_endpoints(planner("minimal", None)(change))}
+    assert found == {
+        "what others rely on of talker besides its ports: it may have service /save, which nothing hands over",
+        "what others rely on of listener besides its ports: its services, ROS actions and calls are known once it runs",
+    }
 
 
 GOES_ON = (

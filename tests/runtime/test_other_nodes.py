@@ -11,6 +11,7 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.model.component import StopTimes
+from midstride.model.configuration import Instance
 from midstride.model.respawn import RespawnPolicy
 from midstride.plan.expected_losses import expected_losses
 from midstride.plan.request import PlanRequest
@@ -18,6 +19,7 @@ from midstride.runtime.backend_protocol import OtherNode, OtherNodes, RemainingP
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.view.instance_status import _misnamed
 from midstride.runtime.watch.other_nodes import INTERVAL
 from midstride.runtime.workspace import Workspace
 from midstride.verdicts import Assessment
@@ -157,6 +159,18 @@ def test_where_they_cannot_be_known_plan_and_report_say_so_and_nothing_is_refuse
     assert words(outcome.continuity.found, "talker") == [
         ("not_measurable", f"which other nodes end with talker: {UNKNOWN}")
     ]
+
+
+def test_a_wrong_renames_is_a_difference_with_the_nodes_that_the_process_has() -> None:
+    component = changed(example("talker").components["Talker"], gate="none", renames="lidar")
+    instance = Instance("talker", "talker", component)
+    assert list(_misnamed(instance, OtherNodes((CAMERA,), without_own=True))) == [
+        "`renames lidar` is the name of no node of its process, which has node /camera: state what the program calls "
+        "the one that is meant"
+    ]
+    assert not list(_misnamed(instance, OtherNodes((CAMERA,))))
+    unnamed = changed(instance, component=changed(component, renames=None))
+    assert not list(_misnamed(unnamed, OtherNodes((CAMERA,), without_own=True)))
 
 
 def test_a_roll_back_that_starts_the_process_again_says_what_it_lacks(tmp_path: Path) -> None:

@@ -147,10 +147,14 @@ class OtherNode:
 
 @dataclass(frozen=True, slots=True)
 class OtherNodes:
-    """The nodes that end with an instance, besides its own; ``unknown``: why some may not be known."""
+    """The nodes that end with an instance, besides its own; ``unknown``: why some may not be known.
+
+    ``without_own``: its process has these, and none of the name that its own one is to have.
+    """
 
     nodes: tuple[OtherNode, ...] = ()
     unknown: str | None = None
+    without_own: bool = False
 
     @property
     def names(self) -> list[str]:

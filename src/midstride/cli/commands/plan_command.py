@@ -29,6 +29,7 @@ from midstride.plan.forms.plan_forms import PlanForm, plan_form
 from midstride.plan.forms.request_form import decode_request
 from midstride.plan.request import PlanRequest
 from midstride.plan.strategies.registry import planner
+from midstride.runtime.change.lost_endpoints import unseen_endpoints
 
 
 def _seconds(_context: click.Context, _parameter: click.Parameter, text: str | None) -> float | None:
@@ -140,7 +141,8 @@ def _for_file(specification: Specification, request: PlanRequest, within: float 
     target = request.target(specification)
     change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
     detours = request.detours and strategy == "minimal"
-    return plan_form(planner(strategy, within, detours=detours)(change), explain=request.explain)
+    plan = planner(strategy, within, detours=detours)(change)
+    return plan_form(replace(plan, besides=tuple(unseen_endpoints(plan))), explain=request.explain)
 
 
 def _or_refused(planned: Callable[[str], PlanForm], strategy: str) -> PlanForm | str:

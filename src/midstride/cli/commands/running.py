@@ -188,6 +188,7 @@ def down_command(system: str | None) -> int:
     """Stop all components of a system, and its manager.
 
     What the manager is doing is broken off: a start that waits for a node, or a change, which is rolled back first.
+    A roll-back is not broken off: `down` waits for its end.
     """
     from midstride.cli.shutdown import shut_down
     from midstride.codec.form import encode

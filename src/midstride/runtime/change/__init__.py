@@ -2,5 +2,5 @@
 
 PUBLIC = (
     "ChangePhase ChangeSession NO_OVERRIDE Override PLAN_LOOK Reconciler ReconciliationObserver RunningChange Verifier "
-    "look_at_managers unread_parameters what_ended"
+    "look_at_managers unread_parameters unseen_endpoints what_ended"
 )

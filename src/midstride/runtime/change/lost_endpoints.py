@@ -25,11 +25,15 @@ ACTION: Final = "ROS action "
 
 
 def lost_endpoints(
-    plan: Plan, states: Mapping[str, LatestState], endpoints: Mapping[str, Sequence[Endpoint]]
+    plan: Plan,
+    states: Mapping[str, LatestState],
+    endpoints: Mapping[str, Sequence[Endpoint]],
+    unseen: str = "it had just been started",
 ) -> Iterator[verdicts.Assessment]:
     """What ``plan`` is expected to end.
 
-    ``states``: the last reports of the nodes that it removes; ``endpoints``: what they have besides ports.
+    ``states``: the last reports of the nodes that it removes; ``endpoints``: what they have besides ports. ``unseen``:
+    why the graph has shown nothing of a node.
     """
     created: dict[str, ComponentSpec] = {}
     for step in plan.steps:
@@ -39,9 +43,21 @@ def lost_endpoints(
             case Remove(name):
                 found, role = plan.change.instance(name), plan.change.role_of(name)
                 known = LastKnown(states.get(name), endpoints.get(name, ()))
-                yield from what_ended(name, found.component, known, planned=True, beside=created.get(role))
+                beside = created.get(role)
+                yield from what_ended(name, found.component, known, planned=True, new=unseen, beside=beside)
                 if known.latest is not None and role in created:
                     yield from two_writers(role, known.latest, found.component, created[role])
+
+
+def unseen_endpoints(plan: Plan) -> Iterator[verdicts.Assessment]:
+    """What ``plan`` may end of a system that does not run: only the graph shows what a node has besides its ports."""
+    yield from lost_endpoints(plan, {}, {}, "its services, ROS actions and calls are known once it runs")
+    for step in plan.steps:
+        if isinstance(step.action, Remove):
+            component = plan.change.instance(step.action.instance).component
+            if allowed := [f"{each.kind} {each.name}" for each in component.allows if each.kind != "topic"]:
+                words = f"it may have {verdicts.listed(allowed)}, which nothing hands over"
+                yield verdicts.not_looked_at(step.action.instance, words)
 
 
 def endpoints_that_ended(

@@ -120,7 +120,7 @@ def instance_status(
         done=watched.system.life.is_done(instance.name),
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in modes),
-        differences=[] if state is None else state.differences,
+        differences=[] if state is None else [*state.differences, *_misnamed(instance, others)],
         undeclared=[] if state is None else [each.words for each in state.undeclared],
         other_nodes=[
             OtherNodeStatus(each.name, [*each.publishes], [*each.serves], each.namesake) for each in others.nodes
@@ -135,6 +135,16 @@ def instance_status(
         parameters=[] if state is None else parameters(state),
         endpoints=endpoints(instance, state, watched.client.endpoints(instance.name)),
     )
+
+
+def _misnamed(instance: Instance, others: OtherNodes) -> Iterator[str]:
+    """Yield that `renames` names no node of the process, so that none has the name of the instance's node."""
+    renames = instance.component.renames
+    if renames is not None and others.without_own:
+        yield (
+            f"`renames {renames}` is the name of no node of its process, which has {others.in_words}: "
+            "state what the program calls the one that is meant"
+        )
 
 
 def is_sound(status: InstanceStatus) -> bool:

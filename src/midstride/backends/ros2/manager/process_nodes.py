@@ -78,7 +78,8 @@ def other_nodes(
         unknown = _unknown(each, rmw, len(pids.get(each.instance, ())))
         if others or unknown is not None:
             nodes = tuple(_described(graph, node, mine.own) for node in sorted(others.elements()))
-            answer[each.instance] = OtherNodes(nodes, unknown)
+            without_own = bool(others) and each.is_foreign and each.node not in {**in_graph, **listed}
+            answer[each.instance] = OtherNodes(nodes, unknown, without_own)
     return answer
 
 
