@@ -218,3 +218,23 @@ def test_a_node_with_ros_actions_leaves_the_graph_when_it_is_destroyed() -> None
         node.destroy_node()
         assert "with_actions" not in bare.node.get_node_names()
         del kept
+
+
+def test_a_service_that_is_destroyed_handles_no_request_that_is_passed_on() -> None:
+    from std_srvs.srv import Empty
+
+    from midstride.backends.ros2.component.admitting_node import AdmittingNode
+
+    with Bare() as bare:
+        admission = RequestAdmission(time.monotonic_ns)
+        node = AdmittingNode("with_services", admission, context=bare.node.context)
+        own = set(admission.passed_handlers)
+        first = node.create_service(Empty, "/save", print)
+        assert admission.passed_handlers.keys() - own == {"/save"}
+        second = node.create_service(Empty, "/save", print)
+        node.destroy_service(first)  # the later one handles them
+        assert admission.passed_handlers.keys() - own == {"/save"}
+        assert node.destroy_service(second) and not node.destroy_service(second)
+        assert admission.passed_handlers.keys() == own
+        node.destroy_node()
+        assert not admission.passed_handlers

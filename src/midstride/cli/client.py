@@ -11,6 +11,7 @@ import json
 import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import urlencode
@@ -60,6 +61,17 @@ class _UnixConnection(http.client.HTTPConnection):
             time.sleep(_CONNECT_INTERVAL)
 
 
+@dataclass(frozen=True)
+class _Request:
+    """``begin`` is called right before the first byte is sent; where it raises, the manager is not asked."""
+
+    method: str
+    path: str
+    document: Document | None = None
+    timeout: float | None = READ_TIMEOUT
+    begin: Callable[[], object] = lambda: None
+
+
 class Client:
     """Talks to one manager.
 
@@ -72,13 +84,12 @@ class Client:
 
     def text(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> str:
         """The answer to a request for a text."""
-        found = self._answer("GET", _with_query(path, query), None, timeout)
-        return found.decode()
+        return self._answer(_Request("GET", _with_query(path, query), timeout=timeout)).decode()
 
     def answers(self, timeout: float = 2.0) -> bool:
         """Whether a manager answers in time."""
         try:
-            self._answer("GET", "", None, timeout)
+            self._answer(_Request("GET", "", timeout=timeout))
         except errors.ManagerError:
             return False
         return True
@@ -230,7 +241,7 @@ class Client:
 
         connection = _UnixConnection(self._socket, None)
         try:
-            response = self._send(connection, "GET", f"/view/stream?only=event&since={since}", None)
+            response = self._send(connection, _Request("GET", f"/view/stream?only=event&since={since}"))
             while line := response.readline():
                 if line.startswith(b"data: "):
                     yield msgspec.json.decode(line[len(b"data: ") :], type=Event)
@@ -253,7 +264,7 @@ class Client:
         """The answer, which has that form. Raises ManagerError where it has another one, as of another version."""
         import msgspec
 
-        answer = self._answer(method, path, document, timeout, begin)
+        answer = self._answer(_Request(method, path, document, timeout, begin))
         try:
             return msgspec.json.decode(answer, type=form)
         except msgspec.ValidationError as error:
@@ -266,33 +277,18 @@ class Client:
         log = self._socket.parent / "logs" / "manager.log"
         return errors.ManagerError(f"the manager exited before it answered ({reason}); see {log}")
 
-    def _answer(
-        self,
-        method: str,
-        path: str,
-        document: Document | None,
-        timeout: float | None,
-        begin: Callable[[], object] = lambda: None,
-    ) -> bytes:
-        connection = _UnixConnection(self._socket, timeout)
+    def _answer(self, request: _Request) -> bytes:
+        connection = _UnixConnection(self._socket, request.timeout)
         try:
-            response = self._send(connection, method, path, document, begin)
-            return response.read()
+            return self._send(connection, request).read()
         except TimeoutError:
-            raise errors.ManagerError(f"the manager did not answer within {timeout:g} s") from None
+            raise errors.ManagerError(f"the manager did not answer within {request.timeout:g} s") from None
         except (OSError, http.client.HTTPException) as error:
             raise self._unanswered(error) from None
         finally:
             connection.close()
 
-    def _send(
-        self,
-        connection: _UnixConnection,
-        method: str,
-        path: str,
-        document: Document | None,
-        begin: Callable[[], object] = lambda: None,
-    ) -> http.client.HTTPResponse:
+    def _send(self, connection: _UnixConnection, request: _Request) -> http.client.HTTPResponse:
         try:
             connection.connect()
         except (FileNotFoundError, ConnectionRefusedError):
@@ -306,9 +302,10 @@ class Client:
             raise
         except OSError as error:
             raise errors.ManagerError(f"the manager cannot be reached: {error.strerror or error}") from None
-        body = None if document is None else json.dumps(document)
-        begin()
-        connection.request(method, f"/api/v1{path}", body, {"Content-Type": "application/json"} if body else {})
+        body = None if request.document is None else json.dumps(request.document)
+        headers = {"Content-Type": "application/json"} if body else {}
+        request.begin()
+        connection.request(request.method, f"/api/v1{request.path}", body, headers)
         response = connection.getresponse()
         if response.status >= 400:
             raise _error(response.read())

@@ -14,7 +14,6 @@ from typing import Any, Final, TypeVar
 
 from immutables import Map
 
-from midstride.codec.parameter import from_json, json_values
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model import wording
 from midstride.model.action import (
@@ -38,8 +37,8 @@ from midstride.runtime.cancellation import all_of
 from midstride.runtime.change.change_phases import ChangePhase
 from midstride.runtime.change.managed_nodes import require_unmanaged_at_its_end
 from midstride.runtime.change.mode_changes import ModeChanges
+from midstride.runtime.change.parameter_settings import ParameterSettings
 from midstride.runtime.change.running_change import RunningChange
-from midstride.runtime.change.settings_watch import Setting, SettingsWatch
 from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences, StepBudget
 from midstride.runtime.handover.live_handover import LiveHandover
@@ -62,7 +61,7 @@ from midstride.runtime.records.reports import StateMove
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.observed_configuration import own_degradations_in
 from midstride.runtime.watch.simulated_time import stretch_of
-from midstride.wire import commands, replies
+from midstride.wire import commands
 from midstride.wire.commands import Command
 
 R = TypeVar("R")
@@ -98,11 +97,10 @@ class ActionDriver:
     own_state: dict[str, str] = field(default_factory=dict)
     fences: Fences = field(init=False)
     modes: ModeChanges = field(init=False)
+    settings: ParameterSettings = field(init=False)
     _moves: StateMoves = field(init=False)
     _inputs_ready: float = -math.inf  # when those are that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
-    _before_setting: dict[str, replies.PreviousParameters] = field(default_factory=dict)  # by instance
-    _settings: dict[str, Setting] = field(default_factory=dict)  # what is set, by instance
     _crashed: dict[str, str] = field(default_factory=dict)  # by role: what kept state, and has exited before
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
@@ -111,6 +109,7 @@ class ActionDriver:
         self.system.life.begin_change()
         self.fences = Fences(self.client, self.launcher, self.events, self.change.patience)
         self.modes = ModeChanges(self.client, self.system)
+        self.settings = ParameterSettings(self.client, self.system, self.events, self.change)
         self._moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
         self._keeping = {name for name in change.replaced if keeps_state(self.client, name)}
         for name in self.system.life.missing:
@@ -240,9 +239,9 @@ class ActionDriver:
             case Handover():
                 await self._hand_over(action, turn)
             case SetParameters() if self.rolling_back:
-                await self._set_back(action)
+                await self.settings.put_back(action)
             case SetParameters():
-                await self._set_parameters(action)
+                await self.settings.put(action)
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
             # attached to another connector of the same topic.
             case Remove(instance) if not self.system.life.has_exited(instance):
@@ -292,82 +291,6 @@ class ActionDriver:
                     life.exit.log_tail.strip(),
                 )
                 raise StepFailed(wording.with_log(words, log) if log else words)
-
-    async def _set_parameters(self, action: SetParameters) -> None:
-        """Set parameters of an instance: to the specification's values, or at run time."""
-        name, at_run_time, transfer = action.instance, action.before is not None, self.change.parameters
-        instance, values = self.configuration.instances[name], json_values(action.parameters)
-        setting = Setting.begun(self.client, self.system, name, self.configuration)
-        command = commands.SetParametersCommand(parameters=values, declared={} if at_run_time else None)
-        try:
-            reply = await self.client.change(name, command)
-        except MidstrideError as error:
-            transfer.not_set(instance, action.parameters, str(error))
-            if action.before is not None and not isinstance(error, CommandRefused):  # it may still be carried out
-                await self.client.undo(name, setting.back(action.before))
-            raise
-        self._settings[name], self._before_setting[name] = setting, reply
-        if action.before is not None:
-            transfer.was_set(instance, action.parameters, action.before)
-        else:
-            transfer.set_in_place(instance, {each: from_json(reply.before[each]) for each in reply.declared})
-
-    async def _set_back(self, action: SetParameters) -> None:
-        """In a roll-back, restore the values before, also those that had been set at run time."""
-        name, back = action.instance, action.parameters
-        instance, setting = self.configuration.instances[name], self._settings.get(name)
-        command = commands.SetParametersCommand(parameters=json_values(back))
-        before = self._before_setting.get(name)
-        if action.before is not None and setting is not None:
-            command = setting.back(back)
-        elif before is not None and before.declared:
-            values = {each: before.before[each] for each in before.declared}
-            declared = json_values(back)
-            command = commands.SetParametersCommand(
-                parameters=json_values(declared | values), declared=json_values(declared | before.declared)
-            )
-        done = next(
-            (
-                each.parameters
-                for each in self.change.actions
-                if isinstance(each, SetParameters) and each.instance == name
-            ),
-            back,
-        )
-        self.client.forget_revision(name)  # it may have degraded by what was set
-        try:
-            await self.client.change(name, command)
-        except MidstrideError as error:
-            self.change.parameters.not_set_back(instance, done, str(error))
-            raise
-        if setting is not None:
-            seconds = self.backend.clock.steady() - setting.since
-            restored = {each: from_json(value) for each, value in command.parameters.items()}
-            self.change.parameters.set_back(instance, done, restored, seconds)
-
-    def left_as_set(self, action: SetParameters) -> bool:
-        """Whether there is nothing to set back, as the instance has ended; the next one has the values before."""
-        if not self.system.life.is_gone(action.instance):
-            return False
-        if (setting := self._settings.get(action.instance)) is not None:
-            self.system.values.put_back(action.instance, setting.role, setting.values)
-        return True
-
-    @property
-    def everything_is_set(self) -> bool:
-        """Whether the change has set all the parameters that it sets."""
-        return self._settings.keys() >= {
-            each.instance for each in self.change.actions if isinstance(each, SetParameters)
-        }
-
-    async def watch_settings(self) -> None:
-        """Watch what the instances do whose parameters were set. Raises BrokenBySetting."""
-        timing = self.change.target.timing
-        watch = SettingsWatch(self.client, self.system, self.events, self._settings)
-        by_default = "watch_after" not in timing
-        seconds, shortest = watch.by_default() if by_default else (timing["watch_after"], WATCHED_WINDOW)
-        if seconds:
-            await self._unless_hurried(asyncio.ensure_future(watch.run(seconds, shortest)), by_default)
 
     async def _move_state(self, old: str, new: str) -> None:
         try:
@@ -581,7 +504,7 @@ class ActionDriver:
         slowest = max((stretch_of(self.client, each.port.instance) for each in outputs), default=1.0)
         watching = asyncio.ensure_future(self._watch_all(outputs, servers, seconds, slowest, shortest))
         try:
-            await self._unless_hurried(watching, by_default)
+            await self.change.unless_hurried(watching, by_default)
         except StepFailed as error:
             if degradations := await self._own_degradations(action):
                 raise StepFailed("; ".join(degradations)) from error
@@ -605,20 +528,6 @@ class ActionDriver:
     def _rate(self, port: PortRef) -> float:
         """What an output guarantees (Hz), or 0."""
         return self.configuration.rate(port) or 0.0
-
-    async def _unless_hurried(self, watching: asyncio.Future[None], by_default: bool) -> None:
-        """Await ``watching``; where it is done by default, only until the next command waits."""
-        hurried = self.change.hurried if by_default else None
-        hurrying = asyncio.ensure_future((hurried or asyncio.Event()).wait())
-        both: set[asyncio.Future[Any]] = {watching, hurrying}
-        try:
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-            if watching.done():
-                watching.result()
-        finally:
-            for task in both:
-                task.cancel()
-            await asyncio.gather(*both, return_exceptions=True)
 
     async def _carry_parameters(self, old: str, new: str) -> None:
         if not self.rolling_back:

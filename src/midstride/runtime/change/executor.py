@@ -212,10 +212,10 @@ class Executor:
             for index in indices
             if isinstance(action := self.change.actions[index], SetParameters)
         }
-        if not instances or not self.driver.everything_is_set:
+        if not instances or not self.driver.settings.complete:
             return {}
         try:
-            await self.driver.watch_settings()
+            await self.driver.settings.watch()
         except BrokenBySetting as error:
             return {instances.get(error.instance, indices[-1]): error}
         return {}
@@ -457,7 +457,7 @@ class Executor:
     async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
         """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns, and says, why."""
         what = undoing.describe(self.system.configuration)
-        if isinstance(undoing, SetParameters) and self.driver.left_as_set(undoing):
+        if isinstance(undoing, SetParameters) and self.driver.settings.left_as_set(undoing):
             return None
         while True:
             try:

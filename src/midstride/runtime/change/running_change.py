@@ -119,3 +119,17 @@ class RunningChange:
     async def crashed(self) -> None:
         for observer in self.observers:
             await observer.crashed()
+
+    async def unless_hurried(self, watching: asyncio.Future[None], by_default: bool) -> None:
+        """Await ``watching``; where it is done by default, only until the next command waits."""
+        hurried = self.hurried if by_default else None
+        hurrying = asyncio.ensure_future((hurried or asyncio.Event()).wait())
+        both: set[asyncio.Future[Any]] = {watching, hurrying}
+        try:
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            if watching.done():
+                watching.result()
+        finally:
+            for task in both:
+                task.cancel()
+            await asyncio.gather(*both, return_exceptions=True)

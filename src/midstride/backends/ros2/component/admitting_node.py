@@ -31,6 +31,13 @@ class AdmittingNode(Node):  # type: ignore[misc]
         guard_service(service, self._admission, self._later)
         return service
 
+    def destroy_service(self, service: Any) -> bool:
+        """Also end the handling of requests that are passed on to it."""
+        handlers = self._admission.passed_handlers
+        for name in [name for name, handler in handlers.items() if handler is getattr(service, "handle_passed", None)]:
+            del handlers[name]
+        return bool(super().destroy_service(service))
+
     def add_waitable(self, waitable: Any) -> None:
         if isinstance(waitable, ActionServer):
             guard_action(waitable, self._admission, self._later)
@@ -117,6 +124,7 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
 
     service.callback = lambda request, response: (request, response)
     service.send_response = answer
+    service.handle_passed = handle_passed
     admission.passed_handlers[service.service_name] = handle_passed
 
 

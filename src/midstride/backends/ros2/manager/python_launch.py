@@ -12,10 +12,12 @@ import json
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
+
+from midstride.backends.ros2.manager.harmless_launch import LeftOut, with_places, without_effect
 
 NO_LAUNCH: Final = 3
 _HARMLESS: Final = frozenset({"LogInfo", "SetROSLogDir"})
@@ -41,14 +43,6 @@ _RAISED: Final = (Exception, SystemExit)
 
 # A file and a line.
 Place = tuple[str, int]
-
-
-class _Refused(Exception):
-    """A part of the launch file cannot be carried out. ``kind`` is that of the finding."""
-
-    def __init__(self, kind: str, message: str) -> None:
-        super().__init__(message)
-        self.kind = kind
 
 
 class _Visitor:
@@ -143,7 +137,7 @@ class _Visitor:
         outer, self._place = self._place, getattr(entity, "_midstride_place", self._place)
         try:
             self._carry_out(entity)
-        except _Refused as error:
+        except LeftOut as error:
             self.note(error.kind, str(error))
         except _RAISED as error:
             self.note("python", f"`{type(entity).__name__}` is left out: {_described(error)}")
@@ -188,14 +182,14 @@ class _Visitor:
         try:
             return action.condition is None or bool(action.condition.evaluate(self.context))
         except Exception as error:
-            raise _Refused("condition", f"a condition has no known value: {_described(error)}") from None
+            raise LeftOut("condition", f"a condition has no known value: {_described(error)}") from None
 
     def _declare(self, argument: Any) -> None:
         self.declared.append(argument.name)
         try:
             argument.execute(self.context)
         except RuntimeError as error:
-            raise _Refused("argument", str(error)) from None
+            raise LeftOut("argument", str(error)) from None
 
     def _include(self, entity: Any, given: Iterable[str] = ()) -> None:
         source = entity.launch_description_source
@@ -211,7 +205,7 @@ class _Visitor:
         self.context.extend_locals(
             {"current_launch_file_path": file, "current_launch_file_directory": entity._get_launch_file_directory()}
         )
-        stated = [self._text(name) for name, _ in entity.launch_arguments]
+        stated = [self.text(name) for name, _ in entity.launch_arguments]
         if missing := list(dict.fromkeys(self._required(description, {*stated, *given}))):
             self.declared += [argument.name for argument in description.get_launch_arguments()]
             for name in missing:
@@ -220,7 +214,7 @@ class _Visitor:
                 )
             return
         for name, value in entity.launch_arguments:
-            self.context.launch_configurations[self._text(name)] = self._text(value)
+            self.context.launch_configurations[self.text(name)] = self.text(value)
         if not any(hasattr(each, "_midstride_place") for each in description.entities):
             self._all(description.entities)  # of XML or YAML: the place is that of the action that includes it
             return
@@ -342,10 +336,10 @@ class _Visitor:
         try:
             if isinstance(entity, self._ros.Node):
                 name = entity._Node__node_name
-                program = f"`{self._text(entity.node_executable)}` of package `{self._text(entity.node_package)}`"
-                return program if name is None else f"the node `{self._text(name)}` ({program})"
+                program = f"`{self.text(entity.node_executable)}` of package `{self.text(entity.node_package)}`"
+                return program if name is None else f"the node `{self.text(name)}` ({program})"
             if isinstance(entity, self._actions.ExecuteLocal):
-                words = [self._text(word) for word in entity.process_description.cmd]
+                words = [self.text(word) for word in entity.process_description.cmd]
                 return f"`{' '.join(words)}`"
         except Exception:  # what it needs is known when launch has begun it only
             pass
@@ -402,7 +396,7 @@ class _Visitor:
         # A class of the user's does what it does; those of launch_ros would join ROS to follow the node.
         (type(action).execute if own or not is_node else self._ros.Node.execute)(action, self.context)
         if len(self.processes) == noted:  # the action has its own way to start something
-            raise _Refused("unsupported", f"`{type(action).__name__}` is left out: what it starts is not known")
+            raise LeftOut("unsupported", f"`{type(action).__name__}` is left out: what it starts is not known")
 
     def started(self, action: Any) -> None:
         """Record what launch would start now, in place of `ExecuteLocal.__execute_process`."""
@@ -415,8 +409,8 @@ class _Visitor:
             "type": type(action).__name__ if is_node else "",
             "prefix": words[:before],
             "words": words[before:],
-            "package": self._text(action.node_package) if is_node else "",
-            "executable": self._text(action.node_executable) if is_node else "",
+            "package": self.text(action.node_package) if is_node else "",
+            "executable": self.text(action.node_executable) if is_node else "",
             "environment": self._changes(details["env"]),
             "cleared": described.env is not None,
             "folder": details["cwd"] and str(details["cwd"]),
@@ -431,7 +425,7 @@ class _Visitor:
             self._lifecycle_nodes.append((action, found))
         label = found["executable"] or os.path.basename(words[before]) if len(words) > before else ""
         if described.name is not None:
-            label = self._text(described.name)
+            label = self.text(described.name)
         found["label"] = label
         self._labels[id(action)] = label
         for follow in self._waiting.pop(id(action), ()):
@@ -454,7 +448,7 @@ class _Visitor:
         """How long it may take to end, by the signal that then comes (s), where that is not launch's default."""
         for name in ("sigterm", "sigkill"):
             try:
-                seconds = float(self._text(getattr(action, f"{name}_timeout")))
+                seconds = float(self.text(getattr(action, f"{name}_timeout")))
             except ValueError:
                 continue
             if 0 <= seconds < float("inf") and seconds != _UNSTATED:
@@ -477,7 +471,7 @@ class _Visitor:
         for description in descriptions or ():
             condition = description.condition()
             if condition is None or condition.evaluate(self.context):
-                plugin = self._text(description.node_plugin)
+                plugin = self.text(description.node_plugin)
                 message = f"the component `{plugin}` is left out: it would share the process of its container"
                 self.note("composable", message)
 
@@ -486,7 +480,8 @@ class _Visitor:
         names = sorted({*self._before, *after} - _OWN_VARIABLES)
         return {name: after.get(name) for name in names if self._before.get(name) != after.get(name)}
 
-    def _text(self, value: Any) -> str:
+    def text(self, value: Any) -> str:
+        """What launch makes of a text with substitutions."""
         if value is None or isinstance(value, (str, os.PathLike)):
             return "" if value is None else str(value)
         parts: Iterable[Any] = value if isinstance(value, (list, tuple)) else [value]
@@ -510,77 +505,6 @@ def _line_in(error: BaseException, file: str) -> Place | None:
     return (file, frames[-1].lineno or 1) if frames else None
 
 
-def _with_places(own: Iterable[str]) -> None:
-    """From now on, an action knows the line of the file in Python that has made it."""
-    import launch
-
-    folders = tuple(f"{folder}{os.sep}" for folder in own)
-    action: Any = launch.Action
-    initialize: Callable[..., None] = action.__init__
-
-    def with_place(self: Any, *arguments: Any, **named: Any) -> None:
-        frame: Any = sys._getframe(1)
-        while frame is not None and frame.f_code.co_filename.startswith(folders):
-            frame = frame.f_back
-        if frame is not None and frame.f_code.co_filename != __file__:
-            self._midstride_place = (frame.f_code.co_filename, frame.f_lineno)
-        initialize(self, *arguments, **named)
-
-    action.__init__ = with_place
-
-
-def _without_effect(visitor: _Visitor) -> None:
-    """From now on, launch starts no process and joins no ROS, and goes on where a package is not here."""
-    import ament_index_python.packages as index
-    import launch.actions
-    import launch_ros.substitutions as substitutions
-
-    async def nothing() -> None:
-        pass
-
-    def start(action: Any, _: Any) -> Any:
-        visitor.started(action)
-        return nothing()
-
-    def no_node(_: Any) -> Any:
-        raise _Refused("unsupported", "an action that needs a ROS node of launch's own is left out")
-
-    local: Any = launch.actions.ExecuteLocal
-    local._ExecuteLocal__execute_process = start
-    for name, module in list(sys.modules.items()):
-        if name.partition(".")[0] == "launch_ros" and hasattr(module, "get_ros_node"):
-            module.get_ros_node = no_node  # type: ignore[attr-defined]
-
-    def known(look_up: Callable[[str], str]) -> Callable[..., str]:
-        def found(package: str, *arguments: Any, **named: Any) -> str:
-            try:
-                return look_up(package, *arguments, **named)
-            except LookupError:
-                visitor.note_package(package)
-                return os.path.join(os.sep, f"package {package} is not here")
-
-        return found
-
-    for name in ("get_package_share_directory", "get_package_prefix"):
-        replacement = known(getattr(index, name))
-        for module in [index, sys.modules["ament_index_python"], *sys.modules.values()]:
-            if getattr(module, name, None) is not None and module.__name__.partition(".")[0] in {
-                "ament_index_python",
-                "launch_ros",
-            }:
-                setattr(module, name, replacement)
-    executable: Any = substitutions.ExecutableInPackage
-    perform = executable.perform
-
-    def performed(substitution: Any, context: Any) -> str:
-        try:
-            return str(perform(substitution, context))
-        except Exception:  # who is to start it says that it is not here
-            return visitor._text(substitution.executable)
-
-    executable.perform = performed
-
-
 def main(file: str, exchange: str) -> int:
     """The exit status."""
     try:
@@ -591,8 +515,8 @@ def main(file: str, exchange: str) -> int:
         return NO_LAUNCH
     given = json.loads(Path(exchange).read_text(encoding="utf-8"))
     visitor = _Visitor(given, file)
-    _with_places([os.path.dirname(os.path.abspath(str(each.__file__))) for each in (launch, launch_ros)])
-    _without_effect(visitor)
+    with_places([os.path.dirname(os.path.abspath(str(each.__file__))) for each in (launch, launch_ros)], __file__)
+    without_effect(visitor)
     state = visitor.main(file)
     found = {
         "processes": visitor.processes,
