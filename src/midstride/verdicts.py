@@ -268,7 +268,7 @@ def goals_go_on(instance: str, actions: Sequence[str], patience: float) -> Asses
     """Goals that a node without Midstride's API has accepted stay with it; new ones go to its successor."""
     words = (
         f"goals of others that are under way at {listed(actions)}: they go on at {instance}, which runs beside its "
-        f"replacement until they have ended, for at most {patience:g} s; what is left then is cancelled"
+        f"replacement until they have ended, for at most {patience:g} s (`patience`); what is left then is cancelled"
     )
     return Assessment(instance, "not_measurable", words)
 

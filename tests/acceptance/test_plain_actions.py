@@ -210,7 +210,7 @@ async def cut_short(system: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.result().status == CANCELED and result.result().result.sequence
     assert outcome.outcome == "done" and isinstance(outcome.continuity, Assessments)
     (words,) = (each.words for each in outcome.continuity.found if "goal" in each.words)
-    assert "1 goal of ROS action /count had not ended after 1 s, and cancelling was asked for" in words
+    assert "1 goal of ROS action /count had not ended after 1 s (`patience`), and cancelling was asked for" in words
     client.destroy()
 
 

@@ -33,7 +33,7 @@ DOCUMENT: dict[str, Any] = {
         "Detector": {
             "run": "python3 -m patrol.detector --name 'the detector'",
             "takes_seconds": 2.5,
-            "stop_seconds": {"sigterm": 10, "sigkill": 0.5, "drain": 3},
+            "stop_seconds": {"sigterm": 10, "sigkill": 0.5, "drain": 3, "patience": 20},
             "holds": {"/dev/video0": 1, "gpu_memory": 2048},
             "parameters": {
                 "model": {"value": "small.onnx"},

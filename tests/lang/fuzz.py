@@ -29,8 +29,8 @@ system s|{|}|(|)|[|]|<-|->|:|=|@|,|.|"|'|#|\|/|~|//|-|1e999|99999999999999999999
 |1.5| Hz| s|component C {|functionality f {|mode m {|assume |guarantee out : |node n : C {|namespace a {
 |include "a.stride"|contract K = |std_msgs/msg/String| where x in {a, b}| qos(depth = 5)| or | like C |parameters {
 |parameters "p.yaml"|keep n.f at m|limit n.f below baseline 2 s|order a before b|timing {|environment {|resource r = 3
-|topic /t : K|input |output |uses |produces |run "x" takes 2 s| stop drain 3 s sigterm 1 s sigkill 2 s| activate 3 s
-| lazy|changes require /e : std_msgs/msg/Bool where data = true|changes and recovery require | max_age 2 s
+|topic /t : K|input |output |uses |produces |run "x" takes 2 s| stop drain 3 s patience 9 s sigterm 1 s sigkill 2 s
+| activate 3 s| lazy|changes require /e : std_msgs/msg/Bool where data = true|changes and recovery require | max_age 2 s
 |service /s : std_srvs/srv/Trigger|action /a : |server |client |action server |action client | responds within 50 ms
 | accepts within 1 s|std_srvs/srv/Trigger|nav2_msgs/action/Spin
 """

@@ -108,11 +108,11 @@ component Listener {
 
 
 def test_how_a_program_starts_and_ends_is_stated() -> None:
-    words = "takes 40 s activate 8 s stop drain 3 s sigterm 10 s sigkill 500 ms gate lifecycle preload"
+    words = "takes 40 s activate 8 s stop drain 3 s patience 20 s sigterm 10 s sigkill 500 ms gate lifecycle preload"
     text = "system s\n" + BODY.replace("takes 1500 ms", words).replace("output out", "output out as chat lazy")
     talker = meant(text).components["Talker"]
     assert (talker.startup_seconds, talker.activate_seconds, talker.gate) == (40.0, 8.0, "lifecycle preload")
-    assert (talker.stop, talker.topics) == (StopTimes(10.0, 0.5, 3.0), Map(out="chat"))
+    assert (talker.stop, talker.topics) == (StopTimes(10.0, 0.5, 3.0, 20.0), Map(out="chat"))
     assert talker.lazy == {"out"}
     # What is not stated is as in ROS launch; an output is one part, which `like` replaces whole.
     child = 'component Child like Talker { run "child" stop sigkill 1 s gate preload   output out }\n'

@@ -7,11 +7,13 @@ from dataclasses import replace
 import pytest
 from immutables import Map
 
-from midstride.model.component import FunctionalityRef, Resource, StopTimes
+from midstride.model.component import Connector, FunctionalityRef, FunctionalitySpec, Mode, Resource, StopTimes
+from midstride.model.contract import Predicate
 from midstride.model.specification import Limit, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms.plan_forms import decode_plan, encode_plan
+from midstride.plan.goals_in_progress import with_time_for_goals
 from midstride.plan.overlap import duration
 from midstride.plan.plan import Plan
 from midstride.plan.sensitivity import sensitivity
@@ -70,6 +72,48 @@ def test_a_plan_counts_the_time_until_a_process_is_killed_as_its_component_state
     # What was measured is expected, and no less than the stated time is possible.
     measured = change_between(initial(stated), stated, target, {"remove OldA": Estimate(2.0, 1.0, 3.0)})
     assert measured.estimate("remove", old) == Estimate(2.0, 1.0, 16.0)
+
+
+def test_a_plan_counts_the_time_for_which_goals_of_the_old_node_may_go_on() -> None:
+    start, target = two_on_one_device()
+
+    def plan(old: StopTimes | None, new: str = "preload", strategy: str = "minimal") -> Plan:
+        parts = start.components.set("OldA", replace(start.components["OldA"], gate="preload", stop=old))
+        parts = parts.set("NewA", replace(start.components["NewA"], gate=new))
+        stated, wanted = replace(start, components=parts), replace(target, components=parts)
+        return planner(strategy)(change_between(initial(stated), stated, wanted, {}))
+
+    def longest(plan: Plan, serving: tuple[str, ...] = ("a",)) -> dict[str, tuple[float, float] | None]:
+        steps = with_time_for_goals(plan, serving).steps
+        return {step.describe(): step.between for step in steps if step.action.kind == "remove"}
+
+    # Besides the patience: 2 times 3 s for what is cancelled, 2 s to answer requests, and the signals.
+    assert longest(plan(None)) == {"remove a": (0.2, 60.0 + 6.0 + 2.0 + 10.0), "remove b": None}
+    assert longest(plan(StopTimes(1.0, 2.0, 3.0, 20.0))) == {
+        "remove a": (0.2, 20.0 + 6.0 + 3.0 + 3.0),
+        "remove b": None,
+    }
+    taken = duration(with_time_for_goals(plan(None), ["a"]))
+    assert taken.between is not None and taken.between[1] == pytest.approx(taken.seconds + 77.8, abs=0.2)
+    # It has no goals, has another kind of successor, or has been removed before that is created.
+    assert longest(plan(None), ()) == longest(plan(None, "relay")) == {"remove a": None, "remove b": None}
+    assert longest(plan(None, strategy="stop")) == {"remove a": None, "remove b": None}
+
+
+def test_a_declared_action_server_may_have_goals() -> None:
+    action = Predicate("test_msgs/action/Fibonacci")
+    modes = (Mode("normal", (), Map(out=action)), Mode("degraded", (), Map()))
+    functionality = FunctionalitySpec("serving", modes, (), ("out",))
+    start, target = two_on_one_device()
+    parts = start.components
+    for name in ("OldA", "NewA"):
+        served = {"gate": "preload", "functionalities": Map(serving=functionality)}
+        parts = parts.set(name, replace(parts[name], **served))
+    connector = Connector("/A", action)
+    connectors = start.connectors.set("/A", connector)
+    start, target = (replace(each, components=parts, connectors=connectors) for each in (start, target))
+    plan = with_time_for_goals(planner("minimal")(change_between(initial(start), start, target, {})))
+    assert [step.between for step in plan.steps if step.describe() == "remove a"] == [(0.2, 78.0)]
 
 
 def test_a_plan_that_is_best_only_as_expected_says_so() -> None:

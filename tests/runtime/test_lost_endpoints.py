@@ -116,7 +116,7 @@ def test_a_plan_for_a_system_that_does_not_run_says_what_it_cannot_know() -> Non
 
 GOES_ON = (
     "goals of others that are under way at ROS action /dock: they go on at mapper, which runs beside its replacement "
-    "until they have ended, for at most 60 s; what is left then is cancelled"
+    "until they have ended, for at most 60 s (`patience`); what is left then is cancelled"
 )
 
 

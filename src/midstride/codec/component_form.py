@@ -192,13 +192,19 @@ class StopForm(Form, frozen=True):
     sigterm: Annotated[SecondsOrZero, Meta(description="how long after SIGINT")] = DEFAULT_STOP.sigterm
     sigkill: Annotated[SecondsOrZero, Meta(description="how long after SIGTERM")] = DEFAULT_STOP.sigkill
     drain: Annotated[SecondsOrZero, Meta(description="how long it answers what it has taken")] = DEFAULT_STOP.drain
+    patience: Annotated[SecondsOrZero, Meta(description="how long its goals may take to end")] = DEFAULT_STOP.patience
 
     @classmethod
     def of(cls, stop: StopTimes) -> StopForm:
-        return cls(sigterm=plain(stop.sigterm), sigkill=plain(stop.sigkill), drain=plain(stop.drain))
+        return cls(
+            sigterm=plain(stop.sigterm),
+            sigkill=plain(stop.sigkill),
+            drain=plain(stop.drain),
+            patience=plain(stop.patience),
+        )
 
     def times(self) -> StopTimes:
-        return StopTimes(float(self.sigterm), float(self.sigkill), float(self.drain))
+        return StopTimes(float(self.sigterm), float(self.sigkill), float(self.drain), float(self.patience))
 
 
 class ComponentForm(Form, frozen=True):

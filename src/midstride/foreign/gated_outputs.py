@@ -21,7 +21,7 @@ from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
 from midstride.foreign.page import OPEN, OUTPUT, GoalState
 from midstride.foreign.ungated_outputs import UngatedOutputs
-from midstride.model.component import GOAL_PATIENCE
+from midstride.model.component import CANCELLING
 from midstride.node.control.attachments import READY_AFTER, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
@@ -32,9 +32,6 @@ HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
 # How long a node may take until it shows the clients of the one that answers, or its readers (s).
 PEERS_KNOWN: Final = 2.0
-# How long a node has to end the goals that are cancelled at the end of its patience, and its clients to ask what became
-# of them (s).
-CANCELLING: Final = 3.0
 # A process whose helper thread has not looked for so long is stopped (s): its goals do not go on.
 STOPPED: Final = 3.0
 UNENDED: Final = (GoalState.RESERVED, GoalState.ASKED, GoalState.ACCEPTED)
@@ -244,7 +241,7 @@ class GatedOutputs(UngatedOutputs):
                 looked, since = beat, time.monotonic()
             return not gates.goals() or time.monotonic() - since > STOPPED or self._hangs() is not None
 
-        await self._node.comes_true(over, GOAL_PATIENCE)
+        await self._node.comes_true(over, self._node.component.stop_times.patience)
         unended, unfetched = gates.goals(*UNENDED), gates.goals(GoalState.ENDED)
         beyond = gates.goals_beyond()
         found = [] if beyond is None else [beyond]
@@ -252,7 +249,9 @@ class GatedOutputs(UngatedOutputs):
             seconds = time.monotonic() - begun
             gates.cancel_goals()
             await self._node.comes_true(lambda: not gates.goals(*UNENDED), CANCELLING)
-            found.append(f"{_counted(unended)} had not ended after {seconds:.0f} s, and cancelling was asked for")
+            found.append(
+                f"{_counted(unended)} had not ended after {seconds:.0f} s (`patience`), and cancelling was asked for"
+            )
             if still := gates.goals(*UNENDED):
                 found.append(f"{_counted(still)} had not ended {CANCELLING:g} s later")
             await self._node.comes_true(lambda: not gates.goals(), CANCELLING)

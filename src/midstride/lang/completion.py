@@ -134,7 +134,7 @@ class _CursorContext:
         elif first == "run" and last == "gate":
             yield "keyword", GATES
         elif first == "run" and last == "stop":
-            yield "keyword", ("drain", "sigterm", "sigkill")
+            yield "keyword", ("drain", "patience", "sigterm", "sigkill")
         elif last == "holds":
             yield "resource", declarations.resources
         elif self.statement in (["keep"], ["limit"]) or (first == "order" and last in {"order", "before"}):

@@ -338,9 +338,10 @@ def _served_again(
 
 
 def _stop_times(stop: syntax.StopClause) -> StopTimes:
-    sigterm, sigkill, drain = stop.sigterm, stop.sigkill, stop.drain
+    sigterm, sigkill, drain, patience = stop.sigterm, stop.sigkill, stop.drain, stop.patience
     return StopTimes(
         DEFAULT_STOP.sigterm if sigterm is None else sigterm.value,
         DEFAULT_STOP.sigkill if sigkill is None else sigkill.value,
         DEFAULT_STOP.drain if drain is None else drain.value,
+        DEFAULT_STOP.patience if patience is None else patience.value,
     )

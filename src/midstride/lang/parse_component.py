@@ -93,12 +93,13 @@ class ComponentParser(ContractParser):
     def _stop(self) -> syntax.StopClause:
         start = self.i - 1
         drain = self.seconds("a time after `drain`") if self.accept_word("drain") else None
+        patience = self.seconds("a time after `patience`") if self.accept_word("patience") else None
         sigterm = self.seconds("a time after `sigterm`") if self.accept_word("sigterm") else None
         sigkill = self.seconds("a time after `sigkill`") if self.accept_word("sigkill") else None
-        if drain is None and sigterm is None and sigkill is None:
+        if drain is None and patience is None and sigterm is None and sigkill is None:
             help = "write for example `stop sigterm 10 s sigkill 5 s`"
-            raise self.fail("`drain`, `sigterm` or `sigkill` after `stop`", help)
-        return syntax.StopClause(drain, sigterm, sigkill, self.since(start))
+            raise self.fail("`drain`, `patience`, `sigterm` or `sigkill` after `stop`", help)
+        return syntax.StopClause(drain, patience, sigterm, sigkill, self.since(start))
 
     def _gate(self) -> syntax.Name | None:
         gate, start = self.name("`preload`, `relay`, `lifecycle` or `none` after `gate`"), self.i - 1

@@ -121,6 +121,8 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return run.stop.sigkill.span
         case ["stop_seconds", "drain"] if run is not None and run.stop is not None and run.stop.drain is not None:
             return run.stop.drain.span
+        case ["stop_seconds", "patience"] if run is not None and run.stop is not None and run.stop.patience is not None:
+            return run.stop.patience.span
         case ["stop_seconds"] if run is not None and run.stop is not None:
             return run.stop.span
         case ["lazy", name] if output := next((each for each in declaration.lazy if each.text == name), None):

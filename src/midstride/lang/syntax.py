@@ -105,9 +105,10 @@ class ContractExpression(NamedTuple):
 
 
 class StopClause(NamedTuple):
-    """``stop drain SECONDS sigterm SECONDS sigkill SECONDS``, of which any two may be missing."""
+    """``stop drain SECONDS patience SECONDS sigterm SECONDS sigkill SECONDS``, of which any three may be missing."""
 
     drain: Number | None
+    patience: Number | None
     sigterm: Number | None
     sigkill: Number | None
     span: Span

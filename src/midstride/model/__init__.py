@@ -11,11 +11,11 @@ The JSON forms are in :mod:`midstride.codec`.
 """
 
 PUBLIC = (
-    "AUTOSTART Action Assumption Attach BOND_TIMEOUT BOUND_WORDS ChangeRequirement ComponentSpec Configuration "
-    "Connector ConnectorKind Constraint Contract Create DEFAULT_QOS DEFAULT_SECONDS DEFAULT_STOP Degrade Detach "
-    "Diagnosis Durability EnvironmentGuarantee Evaluator FEWEST_PERIODS FunctionalityRef FunctionalitySpec GATES "
-    "GOAL_PATIENCE Gate Handover HistoryPolicy InputAlternatives Instance Interval KILL_AT_ONCE KIND_WORDS Keep Limit "
-    "Liveliness MANAGEMENTS MAX_NUMBER Management Mode NODE_NAMES NOTHING Node NodeEndpoint OneOf Order "
+    "AUTOSTART Action Assumption Attach BOND_TIMEOUT BOUND_WORDS CANCELLING ChangeRequirement ComponentSpec "
+    "Configuration Connector ConnectorKind Constraint Contract Create DEFAULT_QOS DEFAULT_SECONDS DEFAULT_STOP "
+    "Degrade Detach Diagnosis Durability EnvironmentGuarantee Evaluator FEWEST_PERIODS FunctionalityRef "
+    "FunctionalitySpec GATES Gate Handover HistoryPolicy InputAlternatives Instance Interval KILL_AT_ONCE KIND_WORDS "
+    "Keep Limit Liveliness MANAGEMENTS MAX_NUMBER Management Mode NODE_NAMES NOTHING Node NodeEndpoint OneOf Order "
     "ParameterSection ParameterSpec ParameterValue PortRef Predicate Problem QoS ROS_PARAMETERS Reliability Remove "
     "Resource RespawnPolicy Scalar SetParameters Severity Specification StopTimes SubjectPath Swap SystemContext "
     "TIMING Upgrade ValueSet Violation attachment_shortfall best canonical canonical_type cap_violation "

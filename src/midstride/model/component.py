@@ -38,12 +38,14 @@ class StopTimes:
 
     A signal that has 0 s to take effect is not sent. The defaults are those of ROS's own `launch`. Before that, a node
     with the preloaded library answers the requests to its services that it has taken, for ``drain`` s from when its
-    replacement is to answer, and for as long again once it is to end.
+    replacement is to answer, and for as long again once it is to end. It goes on with the goals of its ROS actions
+    until these have ended, for ``patience`` s at most.
     """
 
     sigterm: float = 5.0
     sigkill: float = 5.0
     drain: float = 2.0
+    patience: float = 60.0
 
     @property
     def longest(self) -> float:
@@ -52,8 +54,9 @@ class StopTimes:
 
 
 DEFAULT_STOP: Final = StopTimes()
-# For how long a node goes on with the goals of its ROS actions once its successor takes new ones (s).
-GOAL_PATIENCE: Final = 60.0
+# How long a node has to end the goals that are cancelled when its patience is over, and then its clients to ask what
+# became of them (s).
+CANCELLING: Final = 3.0
 # For a process that must not run again, not for an instant.
 KILL_AT_ONCE: Final = StopTimes(0.0, 0.0)
 

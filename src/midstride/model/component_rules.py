@@ -93,7 +93,11 @@ def component_rules(component: ComponentSpec, path: SubjectPath) -> Iterator[Pro
         for name, seconds in (("sigterm", stop.sigterm), ("sigkill", stop.sigkill)):
             what = f"a time until {name.upper()}"
             yield from number_problems(seconds, what, (*path, "stop_seconds", name), zero=True)
-        yield from number_problems(stop.drain, "a time to answer", (*path, "stop_seconds", "drain"), zero=True)
+        for name, seconds, what in (
+            ("drain", stop.drain, "a time to answer"),
+            ("patience", stop.patience, "a time to end goals"),
+        ):
+            yield from number_problems(seconds, what, (*path, "stop_seconds", name), zero=True)
     for name, parameter in component.parameters.items():
         yield from value_problems(parameter.value, (*path, "parameters", name))
     for functionality in component:

@@ -112,10 +112,15 @@ def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         message = f"{name} states how its process is ended, but has no gate: it uses Midstride's API, and ends in order"
         help = "omit `stop`; `on_stop(…, timeout=…)` in its code says how long that may take"
         yield Problem(_CODE, (*path, "stop_seconds"), message, help)
-    elif component.stop is not None and component.stop.drain != DEFAULT_STOP.drain and not component.preloads:
-        message = f"{name} states for how long it answers requests that it has taken, and nothing sees its requests"
-        help = 'omit `drain`, or have the library preloaded: `run "…" gate preload`'
-        yield Problem(_CODE, (*path, "stop_seconds", "drain"), message, help)
+    elif component.stop is not None and not component.preloads:
+        for key, stated, usual, what in (
+            ("drain", component.stop.drain, DEFAULT_STOP.drain, "answers requests that it has taken"),
+            ("patience", component.stop.patience, DEFAULT_STOP.patience, "goes on with the goals of its ROS actions"),
+        ):
+            if stated != usual:
+                message = f"{name} states for how long it {what}, and nothing sees its requests"
+                help = f'omit `{key}`, or have the library preloaded: `run "…" gate preload`'
+                yield Problem(_CODE, (*path, "stop_seconds", key), message, help)
     if component.activate_seconds is not None and component.gate is None:
         message = f"{name} states how long it may take to activate, but it is no lifecycle node"
         help = 'omit it, or state the gate: `run "…" gate lifecycle`'

@@ -142,7 +142,12 @@ def _stop(component: ComponentSpec) -> str | None:
     stop = component.stop
     if stop is None:
         return None
-    times = (("drain", stop.drain), ("sigterm", stop.sigterm), ("sigkill", stop.sigkill))
+    times = (
+        ("drain", stop.drain),
+        ("patience", stop.patience),
+        ("sigterm", stop.sigterm),
+        ("sigkill", stop.sigkill),
+    )
     return " ".join(f"{name} {format_number(seconds)} s" for name, seconds in times)
 
 

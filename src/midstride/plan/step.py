@@ -23,7 +23,7 @@ class ModeChange:
 class Step:
     """An action, its estimated duration (s), the roles it belongs to, and its mode changes by name.
 
-    ``between``: the shortest and the longest duration that were measured, where any were.
+    ``between``: the shortest and the longest duration, as measured or stated; None where they do not differ.
     """
 
     action: Action

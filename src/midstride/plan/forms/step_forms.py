@@ -30,7 +30,7 @@ from midstride.plan.change import Change
 from midstride.plan.step import ModeChange, Step
 
 Between: TypeAlias = Annotated[
-    tuple[FiniteNumber, FiniteNumber], field("two durations", "the shortest and the longest that were measured (s)")
+    tuple[FiniteNumber, FiniteNumber], field("two durations", "the shortest and the longest, as measured or stated (s)")
 ]
 
 

@@ -26,6 +26,7 @@ from midstride.model.wording import counted
 from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms.plan_forms import PlanForm, PlanPreview
+from midstride.plan.goals_in_progress import with_time_for_goals
 from midstride.plan.overlap import overlap
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
@@ -42,7 +43,7 @@ from midstride.runtime.change.change_permission import NO_OVERRIDE, ChangePermis
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
-from midstride.runtime.change.lost_endpoints import answered_in_turn, lost_endpoints
+from midstride.runtime.change.lost_endpoints import answered_in_turn, lost_endpoints, with_goals
 from midstride.runtime.change.managed_nodes import require_unmanaged
 from midstride.runtime.change.other_nodes_losses import (
     ending_nodes,
@@ -151,6 +152,7 @@ class ChangeSession:
         )
         in_turn = answered_in_turn(plan, system.life.latest_states)
         remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks)
+        plan = with_time_for_goals(plan, with_goals(system.life.latest_states))
         return replace(plan, remarks=remarks, besides=besides), target
 
     async def _said(self, roles: Iterable[str]) -> dict[str, Values]:

@@ -13,7 +13,7 @@ from msgspec import structs
 
 from midstride import verdicts
 from midstride.model.action import Create, Remove
-from midstride.model.component import GOAL_PATIENCE, ComponentSpec
+from midstride.model.component import ComponentSpec
 from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
@@ -131,7 +131,7 @@ def what_ended(
         if shared and not goes_on and component.gate is not None:
             yield verdicts.answered_by_both(name, shared, planned=planned)
         if goes_on and actions and planned:
-            yield verdicts.goals_go_on(name, actions, GOAL_PATIENCE)
+            yield verdicts.goals_go_on(name, actions, component.stop_times.patience)
         if ending := [each for each in state.serves if each not in goes_on]:
             yield verdicts.ends_with(name, ending, planned=planned)
         if goes_on and beside is not None and beside.name != component.name:
@@ -156,6 +156,11 @@ def _shared(state: ComponentState) -> list[str]:
         return served.removeprefix(ACTION).removeprefix("service ").startswith(f"{state.node}/")
 
     return [each for each in state.serves if state.keeps_name or not is_private(each)]
+
+
+def with_goals(states: Mapping[str, LatestState]) -> set[str]:
+    """Return the nodes, of which ``states`` are the last reports, whose goals of ROS actions a replacement outlasts."""
+    return {name for name, latest in states.items() if shared_actions(latest.state)}
 
 
 def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:
