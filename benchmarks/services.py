@@ -20,7 +20,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -144,7 +144,7 @@ async def steady(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
 
 
 Way = Callable[[Path, int], Awaitable[tuple[Figures, list[str]]]]
-WAYS: dict[str, Way] = {
+WAYS: Mapping[str, Way] = {
     "replaced, API": lambda folder, swaps: replaced(folder, swaps, ("OurOther", "Ours")),
     "replaced, rclpy": lambda folder, swaps: replaced(folder, swaps, ("Other", "Plain")),
     "replaced, C": lambda folder, swaps: replaced(folder, swaps, ("Info", "Id")),
@@ -176,21 +176,26 @@ def show(blocks: Sequence[Figures]) -> None:
                 print(f"{'':16}one was rolled back: {because}")
 
 
-async def measure(chosen: Sequence[str], swaps: int, out: Path) -> None:
+def blocks_in(out: Path) -> list[Figures]:
+    """What has been measured."""
+    return [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+
+
+async def measure(ways: Mapping[str, Way], chosen: Sequence[str], swaps: int, out: Path) -> None:
     """Measure what is not in ``out`` yet. SIGTERM and SIGINT end it, and what it has started."""
     task = asyncio.current_task()
     assert task is not None
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     while True:
-        blocks = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+        blocks = blocks_in(out)
         done = {way: sum(block["wanted"] for block in blocks if block["way"] == way) for way in chosen}
         way = min(chosen, key=lambda each: done[each])
         if done[way] >= swaps:
             return
         wanted = min(BLOCK, swaps - done[way])
         with tempfile.TemporaryDirectory(prefix="ms") as folder:
-            found, rolled_back = await WAYS[way](Path(folder), wanted)
+            found, rolled_back = await ways[way](Path(folder), wanted)
         with out.open("a") as file:
             print(json.dumps({"way": way, "wanted": wanted, "rolled back": rolled_back, **found}), file=file)
         print(f"{way}: {done[way] + wanted} of {swaps}", flush=True)
@@ -205,10 +210,10 @@ def main() -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     options.out.parent.mkdir(exist_ok=True)
     try:
-        asyncio.run(measure(options.ways, options.swaps, options.out))
+        asyncio.run(measure(WAYS, options.ways, options.swaps, options.out))
     except asyncio.CancelledError:
         return 1
-    blocks = [json.loads(line) for line in options.out.read_text().splitlines()]
+    blocks = blocks_in(options.out)
     show(blocks)
     faults = [block[name] for block in blocks if block["way"].startswith("replaced") for name in COLUMNS[2:]]
     return int(any(faults))

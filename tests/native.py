@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from ctypes import c_int, c_uint32, c_uint64
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,15 @@ RUST_TALKER = Path(__file__).parents[1] / ".cache" / "rust" / "debug" / "rust_ta
 SOURCE = Path(__file__).parent / "foreign" / "talker.c"
 LISTENER = SOURCE.with_name("listener.c")
 SERVER = SOURCE.with_name("server.c")
+ACTION_SERVER = SOURCE.with_name("action_server.c")
+# What ACTION_SERVER is linked with besides.
+ACTION_LIBRARIES = (
+    "rcl_action",
+    "action_msgs__rosidl_typesupport_c",
+    "action_msgs__rosidl_generator_c",
+    "test_msgs__rosidl_typesupport_c",
+    "test_msgs__rosidl_generator_c",
+)
 _LIBRARIES = (
     "rcl",
     "rcutils",
@@ -66,8 +75,8 @@ def environment_of_compiled(base: Mapping[str, str]) -> dict[str, str]:
     return {**base, "LD_LIBRARY_PATH": os.pathsep.join(filter(None, paths))}
 
 
-def compiled(folder: Path, source: Path = SOURCE, name: str = "c_talker") -> Path:
-    """A node on rcl as a program ``name`` in ``folder``. Skips the test where it cannot be compiled."""
+def compiled(folder: Path, source: Path = SOURCE, name: str = "c_talker", besides: Sequence[str] = ()) -> Path:
+    """A node on rcl as a program ``name`` in ``folder``, with more libraries. Skips where it cannot be compiled."""
     compiler = build.compiler()
     if compiler is None:
         pytest.skip("no C compiler here")
@@ -77,7 +86,7 @@ def compiled(folder: Path, source: Path = SOURCE, name: str = "c_talker") -> Pat
         pytest.skip(f"the headers of rcl are in none of {', '.join(prefixes)}")
     include = prefix / "include"
     headers = [f"-I{each}" for each in (include, *sorted(include.iterdir())) if each.is_dir()]
-    libraries = [f"-L{prefix / 'lib'}", "-Wl,--no-as-needed", *(f"-l{name}" for name in _LIBRARIES)]
+    libraries = [f"-L{prefix / 'lib'}", "-Wl,--no-as-needed", *(f"-l{name}" for name in (*_LIBRARIES, *besides))]
     folder_of_python, version = sysconfig.get_config_vars("LIBDIR", "LDVERSION")
     if (
         Path(folder_of_python) / f"libpython{version}.so"

@@ -6,232 +6,95 @@ MIDSTRIDE_REPLACEMENTS says how many replacements the long test makes, where 100
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from itertools import cycle, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
-from midstride.foreign import gated_outputs
+from midstride import backends
+from midstride.foreign.page import GATES_FOLDER
+from midstride.foreign.record import ForeignRecord
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from midstride.runtime.options import SystemOptions
+from midstride.runtime.restore.half_done import HALF_DONE
+from midstride.runtime.workspace import Workspace
 from midstride.verdicts import Assessments
+from tests.acceptance.acting import CANCELED, SERVER, SUCCEEDED, Goals, asked, written
 from tests.acceptance.foreign_support import Robot, declared_talker, robot
-from tests.acceptance.support import ended
-from tests.backends.ros2_support import run, without_midstride
+from tests.acceptance.support import ROOT, ended
+from tests.backends.ros2_support import Bare, run
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 REPLACEMENTS = int(os.environ.get("MIDSTRIDE_REPLACEMENTS", "100"))
 
-# Plain rclpy: it talks, counts to the number that a goal asks for at 20 Hz, and notes each goal that it executes.
-SERVER = """
-import os
-import time
-import rclpy
-from pathlib import Path
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
-from rclpy.node import Node
-from std_msgs.msg import String
-from test_msgs.action import Fibonacci
 
-rclpy.init()
-node = Node("talker")
-name, number = os.environ["MIDSTRIDE_INSTANCE"], 0
-publisher = node.create_publisher(String, "chatter", 10)
-executed = (Path(__file__).parent / "executed").open("a", buffering=1)
-
-def talk():
-    global number
-    number += 1
-    publisher.publish(String(data=f"{name} {number}"))
-
-def count(goal):
-    executed.write(f"{bytes(goal.goal_id.uuid).hex()} {name}\\n")
-    result = Fibonacci.Result()
-    while len(result.sequence) < goal.request.order and not goal.is_cancel_requested:
-        result.sequence.append(len(result.sequence))
-        goal.publish_feedback(Fibonacci.Feedback(sequence=result.sequence))
-        time.sleep(0.05)
-    goal.canceled() if goal.is_cancel_requested else goal.succeed()
-    return result
-
-node.create_timer(0.02, talk)
-ActionServer(node, Fibonacci, "count", count, cancel_callback=lambda goal: CancelResponse.ACCEPT,
-             callback_group=ReentrantCallbackGroup())
-try:
-    rclpy.spin(node, MultiThreadedExecutor(12))
-except (KeyboardInterrupt, ExternalShutdownException):
-    pass
-"""
-
-# A bare client with several goals at once, until SIGTERM; each fourth is cancelled on its way. It writes of each: UUID,
-# the status with which it ended, the lengths of its result and of what it asked for, and how much feedback came.
-CLIENT = """
-import signal
-import sys
-import rclpy
-from rclpy.action import ActionClient
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from test_msgs.action import Fibonacci
-
-rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-node = Node("asking")
-client = ActionClient(node, Fibonacci, "count")
-client.wait_for_server()
-stopped, sent, under_way = [], 0, set()
-signal.signal(signal.SIGTERM, lambda *_: stopped.append(True))
-
-def send():
-    global sent
-    sent += 1
-    number, order, heard = sent, 15 + sent % 4 * 5, []
-    under_way.add(number)
-    asked = client.send_goal_async(Fibonacci.Goal(order=order), lambda message: heard.append(message))
-
-    def answered(future):
-        goal = future.result()
-        assert goal.accepted
-
-        def ended(future):
-            result = future.result()
-            words = bytes(goal.goal_id.uuid).hex(), result.status, len(result.result.sequence), order, len(heard)
-            print(*words, flush=True)
-            under_way.discard(number)
-
-        goal.get_result_async().add_done_callback(ended)
-        if number % 4 == 0:
-            timer = node.create_timer(0.3, lambda: (timer.cancel(), goal.cancel_goal_async()))
-
-    asked.add_done_callback(answered)
-
-print("ready", flush=True)
-while under_way or not stopped:
-    if not stopped and len(under_way) < int(sys.argv[1]):
-        send()
-    rclpy.spin_once(node, timeout_sec=0.05)
-"""
-SUCCEEDED, CANCELED = 4, 5
-
-
-class Ended(NamedTuple):
-    """A goal, as its client has seen it end."""
-
-    id: str
-    status: int
-    length: int
-    order: int
-    heard: int
-
-
-def lines(path: Path) -> list[list[str]]:
-    """The words of each line; the last one may be under way."""
-    return [line.split() for line in path.read_text().rpartition("\n")[0].splitlines()]
-
-
-class Goals:
-    """What the client has written, and what the servers have."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    @property
-    def ended(self) -> list[Ended]:
-        return [Ended(id, *map(int, rest)) for id, *rest in lines(self._folder / "ended")[1:]]
-
-    @property
-    def executed(self) -> list[str]:
-        path = self._folder / "executed"
-        return [words[0] for words in lines(path)] if path.exists() else []
-
-    def are_executed_once(self) -> None:
-        """Each goal was executed by one server, once, and has ended with its result."""
-        twice = [id for id, number in Counter(self.executed).items() if number > 1]
-        assert not twice, f"executed twice: {twice}"
-        assert {each.id for each in self.ended} == set(self.executed)
-        for each in self.ended:
-            assert each.status == SUCCEEDED or (each.status == CANCELED and each.length < each.order), each
-            assert each.status == CANCELED or each.length == each.order, each
-        assert all(each.heard for each in self.ended), "feedback comes from the server that has the goal"
-
-
-def written(folder: Path) -> Path:
-    """A system with a talker that serves an action, and the client, in ``folder``."""
-    (folder / "server.py").write_text(SERVER)
-    (folder / "client.py").write_text(CLIENT)
-    text = "system serving\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
-    for name in ("Plain", "Other"):
-        text += declared_talker(name, "python3 server.py", "preload")
-    path = folder / "serving.stride"
-    path.write_text(f"{text}node talker : Plain {{ out -> /chat }}\n", encoding="utf-8")
-    return path
-
-
-@asynccontextmanager
-async def asked(folder: Path, system: Robot, at_once: int = 4) -> AsyncIterator[Goals]:
-    """Meanwhile, a bare client has so many goals in progress. At the end, all that were sent are judged."""
-    with (folder / "ended").open("w") as output:
-        command = [sys.executable, str(folder / "client.py"), str(at_once)]
-        process = subprocess.Popen(command, stdout=output, env=without_midstride())
-        try:
-            goals = Goals(folder)
-            await system.until(lambda: len(goals.executed) >= at_once)
-            yield goals
-            process.send_signal(signal.SIGTERM)
-            await system.until(lambda: process.poll() is not None)
-        finally:
-            process.kill()
-            process.wait()
-    assert process.returncode == 0
-    goals.are_executed_once()
-
-
-async def cut_short(system: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A goal that does not end in time is cancelled, and its client gets what it has come to; the report says so."""
-    from rclpy.action import ActionClient
+async def accepted(system: Robot, client: Any, order: int) -> Any:
     from test_msgs.action import Fibonacci
 
-    monkeypatch.setattr(gated_outputs, "GOAL_PATIENCE", 1.0)
-    client: Any = ActionClient(system.bare.node, Fibonacci, "/count")
-    await system.until(client.server_is_ready)
-    asked = client.send_goal_async(Fibonacci.Goal(order=100_000))
+    asked = client.send_goal_async(Fibonacci.Goal(order=order))
     await system.until(asked.done)
-    result = asked.result().get_result_async()
+    assert asked.result().accepted
+    return asked.result()
+
+
+async def fetched_late(system: Robot, client: Any) -> None:
+    """The result of a goal that no client fetches as long as its server runs is the successor's to answer."""
+    goal = await accepted(system, client, 2)
+    outcome = await system.change("Brief")
+    assert (outcome.outcome, outcome.because) == ("done", None)
+    assert "goal" not in str(outcome.continuity), outcome.continuity
+    result = goal.get_result_async()
+    await system.until(result.done)
+    assert (result.result().status, list(result.result().result.sequence)) == (SUCCEEDED, [0, 1])
+
+
+async def cut_short(system: Robot, client: Any) -> None:
+    """A goal that does not end in time is cancelled, and its client gets what it has come to; the report says so."""
+    result = (await accepted(system, client, 100_000)).get_result_async()
     outcome = await system.change("Plain")
     await system.until(result.done)
     assert result.result().status == CANCELED and result.result().result.sequence
     assert outcome.outcome == "done" and isinstance(outcome.continuity, Assessments)
     (words,) = (each.words for each in outcome.continuity.found if "goal" in each.words)
     assert "1 goal of ROS action /count had not ended after 1 s (`patience`), and cancelling was asked for" in words
-    client.destroy()
 
 
-def replaced_often(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Replace the server under goals in progress."""
+def replaced_often(folder: Path, components: Sequence[str], order: int = 15) -> None:
+    """Replace the server by each of ``components`` under goals in progress."""
     pytest.importorskip("test_msgs.action", reason="no package with a ROS action is installed")
 
     async def scenario() -> None:
+        from rclpy.action import ActionClient
+        from test_msgs.action import Fibonacci
+
         async with robot(load(written(folder)).require(), folder) as system:
-            async with asked(folder, system) as found:
-                for count in range(number):
-                    component = "Plain" if count % 2 else "Other"
+            async with asked(folder, system, order) as found:
+                for component in components:
                     planned = await system.manager.plan(PlanRequest(replace=(("talker", component),)))
                     (goals,) = (each.words for each in planned.besides if each.words.startswith("goals of others"))
-                    assert "ROS action /count: they go on at talker" in goals and "for at most 60 s" in goals
+                    assert "ROS action /count: they go on at talker" in goals
+                    assert "for at most 60 s (`patience`)" in goals
+                    (between,) = (step.between for step in planned.steps if step.action.kind == "remove")
+                    assert between is not None and between[1] >= 60.0
                     outcome = await system.change(component)
                     assert (outcome.outcome, outcome.because) == ("done", None)
                     assert "goal" not in str(outcome.continuity), outcome.continuity
-            assert len(system.changes()) == number
+            assert len(system.changes()) == len(components)
             assert system.holes() == []
-            await cut_short(system, monkeypatch)
+            client: Any = ActionClient(system.bare.node, Fibonacci, "/count")
+            await system.until(client.server_is_ready)
+            await fetched_late(system, client)
+            await cut_short(system, client)
+            client.destroy()
             ways = Counter(each.status for each in found.ended)
             print(f"{len(found.ended)} goals, {ways[SUCCEEDED]} succeeded, {ways[CANCELED]} were cancelled")
             assert ways[SUCCEEDED] and ways[CANCELED]
@@ -240,10 +103,93 @@ def replaced_often(folder: Path, number: int, monkeypatch: pytest.MonkeyPatch) -
         run(scenario(), 3600)
 
 
-def test_every_goal_is_executed_once_across_replacements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    replaced_often(tmp_path, 2, monkeypatch)
+def test_every_goal_is_executed_once_across_replacements(tmp_path: Path) -> None:
+    """From rclpy to C, and back."""
+    replaced_often(tmp_path, ["Native", "Plain"])
 
 
 @pytest.mark.long
-def test_every_goal_is_executed_once_across_many_replacements(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    replaced_often(tmp_path, REPLACEMENTS, monkeypatch)
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("kinds", [("Other", "Plain"), ("Native", "Compiled")], ids=["rclpy", "C"])
+def test_every_goal_is_executed_once_across_many_replacements(tmp_path: Path, kinds: tuple[str, str]) -> None:
+    replaced_often(tmp_path, list(islice(cycle(kinds), REPLACEMENTS)), order=40)
+
+
+def test_the_next_manager_ends_a_node_whose_goals_go_on(tmp_path: Path) -> None:
+    """A manager is killed while the old node goes on: all goals end, and then that node does."""
+    pytest.importorskip("test_msgs.action", reason="no package with a ROS action is installed")
+    folder = tmp_path / "system"
+
+    def manager() -> Manager:
+        options = SystemOptions(finish_interrupted=True)
+        workspace = Workspace(folder)
+        return Manager(specification, backends.make("ros2", workspace), workspace, tmp_path, options=options)
+
+    def drains() -> bool:
+        record = ForeignRecord.read(Workspace(folder).components / GATES_FOLDER, "source")
+        return record is not None and record.draining_since is not None
+
+    async def scenario() -> None:
+        from rclpy.action import ActionClient
+        from test_msgs.action import Fibonacci
+
+        folder.mkdir()
+        async with replaced_later(manager()) as system:
+            client: Any = ActionClient(system.bare.node, Fibonacci, "/count")
+            await system.until(client.server_is_ready)
+            cancelled, endless = [await accepted(system, client, 100_000) for _ in range(2)]
+            results = [goal.get_result_async() for goal in (cancelled, endless)]
+            command = [sys.executable, "-m", "tests.acceptance.managing", str(folder), "swap"]
+            with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE) as killed:
+                await system.until(drains)
+                killed.kill()
+            # Without a manager, new goals go to the new one, and what is asked about the others reaches the old one.
+            new = await accepted(system, client, 5)
+            results.append(new.get_result_async())
+            cancelled.cancel_goal_async()
+            await system.until(lambda: results[0].done() and results[2].done())
+            assert not results[1].done()
+            system.manager = manager()
+            await system.meanwhile(system.manager.up())
+            await system.until(lambda: all(each.done() for each in results))
+            found = [(each.result().status, len(each.result().result.sequence)) for each in results]
+            assert [status for status, _ in found] == [CANCELED, CANCELED, SUCCEEDED] and found[2][1] == 5
+            executed = Counter(Goals(tmp_path).executed)
+            assert executed == Counter(bytes(goal.goal_id.uuid).hex() for goal in (cancelled, endless, new))
+            assert list(system.manager.configuration.instances) == ["source_2"]
+            (words,) = (each.words for each in system.manager.events.since(0) if each.kind == HALF_DONE)
+            assert "source, which an earlier manager had left half done" in words
+            assert "1 goal of ROS action /count had not ended after" in words
+            assert "ended with source" not in words, "the services go on at source_2"
+            client.destroy()
+
+    specification = load(written_for_a_manager_that_dies(tmp_path)).require()
+    with ended():
+        run(scenario())
+
+
+def written_for_a_manager_that_dies(folder: Path) -> Path:
+    """The system of :mod:`tests.acceptance.managing`: a node `source`, and two components that run the server."""
+    (folder / "server.py").write_text(SERVER)
+    text = "system serving\ntopic /swap : std_msgs/msg/String @ 50 Hz\n"
+    for name in ("Source", "OtherSource"):
+        talker = declared_talker(name, f"{sys.executable} {folder / 'server.py'}", "preload")
+        text += talker.replace(" gate", " stop patience 5 s gate")
+    path = folder / "killed.stride"
+    path.write_text(f"{text}node source : Source {{ out -> /swap }}\n", encoding="utf-8")
+    return path
+
+
+@asynccontextmanager
+async def replaced_later(manager: Manager) -> AsyncIterator[Robot]:
+    """The system of ``manager``, which is up without it; it is ended by the manager that the robot has then."""
+    with Bare("asking") as bare:
+        system = Robot(Path(), manager, bare)
+        await system.meanwhile(manager.up())
+        await manager.close()
+        try:
+            yield system
+        finally:
+            if system.manager is not manager:
+                await system.meanwhile(system.manager.down())
+                await system.manager.close()

@@ -129,7 +129,7 @@ def test_the_form_says_what_it_shows() -> None:
     }
     assert specification.nodes["robot1/detector"].role == "robot1/detector"
     assert detector.startup_seconds == 2.5
-    assert detector.stop == StopTimes(10.0, 0.5, 3.0)
+    assert detector.stop == StopTimes(10.0, 0.5, 3.0, 20.0)
     assert dict(specification.timing) == {"attach": 0.05, "create": 0.5}
 
 

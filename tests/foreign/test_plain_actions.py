@@ -9,12 +9,15 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from midstride.foreign.page import GOALS, GoalState, Page
+from midstride.foreign.gates import Gates
+from midstride.foreign.page import GOALS, KEPT_RESULTS, NODES, GoalState, Page
+from midstride.model.component import ComponentSpec
 from tests.backends.ros2_support import Bare, run, without_midstride
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
@@ -105,11 +108,15 @@ class Actions:
         return goal
 
     def goals(self, name: int) -> list[GoalState]:
-        return [state for _, state in self.page.goals(self.indices[name])]
+        return [goal.state for goal in self.page.goals(self.indices[name])]
 
     async def reach(self, name: int, expected: list[GoalState]) -> None:
         """Wait for its goals' states: the library records a response that it has sent, maybe after it has arrived."""
         await self.bare.until(lambda: sorted(self.goals(name)) == expected)
+
+    def end(self, name: int) -> None:
+        self.processes[name].kill()
+        self.processes[name].wait()
 
     def close(self) -> None:
         self.client.destroy()
@@ -200,5 +207,74 @@ def test_the_goals_of_one_server_are_cancelled_by_the_page(actions: Actions) -> 
         done = await actions.result(other.get_result_async())
         assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_SUCCEEDED, NEW)
         assert len(page.goals(actions.indices[NEW])) == 1 <= GOALS
+
+    run(scenario())
+
+
+def test_a_result_that_no_client_has_fetched_outlasts_its_server(actions: Actions) -> None:
+    """The successor answers with it, and so does the one after that."""
+    from action_msgs.msg import GoalStatus
+
+    third = 1003
+
+    async def scenario() -> None:
+        page = actions.page
+        await actions.start(OLD)
+        await actions.start(NEW, OLD)
+        goals = [await actions.accepted(order) for order in (2, 3)]
+        actions.give(NEW)
+        await actions.reach(OLD, [GoalState.ENDED] * 2)
+        gates = Gates(page, actions.indices[OLD], ComponentSpec("Server"))
+        for goal, number in gates.ask_for_results().items():
+            await actions.bare.until(partial(gates.keep_result, goal, number))
+        actions.end(OLD)
+        page.free(actions.indices[OLD])
+
+        async def ends(goal: Any, expected: list[int]) -> None:
+            done = await actions.result(goal.get_result_async())
+            assert (done.status, list(done.result.sequence)) == (GoalStatus.STATUS_SUCCEEDED, expected)
+
+        await ends(goals[0], [0, 1, OLD])
+        await actions.start(third, NEW)
+        actions.give(third)
+        actions.end(NEW)
+        page.free(actions.indices[NEW])
+        await ends(goals[1], [0, 1, 2, OLD])
+        # The oldest one is given up for one that has no room beside it: then nobody knows that goal.
+        page.keep_result(bytes(16), bytes(KEPT_RESULTS - 1))
+        done = await actions.result(goals[0].get_result_async())
+        assert done.status == GoalStatus.STATUS_UNKNOWN
+
+    run(scenario())
+
+
+def test_a_goal_that_the_page_has_no_room_for_is_executed_and_waited_for(actions: Actions) -> None:
+    """What was asked about it before the change-over is answered; later, the new server does not know it."""
+    from action_msgs.msg import GoalStatus
+
+    async def scenario() -> None:
+        page = actions.page
+        await actions.start(OLD)
+        old = page.layout.nodes[actions.indices[OLD]]
+        places = page._requests[old.requests - 1].goals
+        for goal in places:  # in progress at another node
+            goal.word = GoalState.ACCEPTED << 12 | NODES
+        asked, unasked = [await actions.accepted(order) for order in (20, 100_000)]
+        result = asked.get_result_async()
+        await actions.start(NEW, OLD)
+        await actions.bare.until(lambda: old.beyond == 2)
+        assert actions.goals(OLD) == []
+        actions.give(NEW)
+        done = await actions.result(result)
+        assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_SUCCEEDED, OLD)
+        assert (await actions.result(unasked.get_result_async())).status == GoalStatus.STATUS_UNKNOWN
+        assert old.beyond == 1
+        page.cancel_goals(actions.indices[OLD])
+        await actions.bare.until(lambda: old.beyond == 0)
+        # As soon as there is room, goals are known again.
+        places[GOALS - 1].word = 0
+        await actions.accepted(100_000)
+        await actions.reach(NEW, [GoalState.ACCEPTED])
+        assert old.beyond == 0
 
     run(scenario())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from immutables import Map
 
-from midstride.model.component import Connector, FunctionalityRef, FunctionalitySpec, Mode, Resource, StopTimes
+from midstride.model.component import FunctionalityRef, FunctionalitySpec, Gate, Mode, Resource, StopTimes
 from midstride.model.contract import Predicate
 from midstride.model.specification import Limit, Specification, initial
 from midstride.plan.change_builder import change_between
@@ -18,7 +18,7 @@ from midstride.plan.overlap import duration
 from midstride.plan.plan import Plan
 from midstride.plan.sensitivity import sensitivity
 from midstride.plan.strategies.registry import planner
-from tests.plan.cases import system, work
+from tests.plan.cases import NEED, system, work
 
 
 def two_on_one_device() -> tuple[Specification, Specification]:
@@ -74,46 +74,44 @@ def test_a_plan_counts_the_time_until_a_process_is_killed_as_its_component_state
     assert measured.estimate("remove", old) == Estimate(2.0, 1.0, 16.0)
 
 
+def replacement(
+    strategy: str = "minimal", contract: Predicate = NEED, gate: Gate = "preload", stop: StopTimes | None = None
+) -> Plan:
+    """Of a node behind ``gate``, which states ``stop``, by one behind `gate preload`, for which there is room."""
+    parts = [replace(work(name, outputs=["out"]), startup_seconds=None, gate="preload") for name in ("Old", "New")]
+    modes = (Mode("normal", (), Map(out=contract)), Mode("degraded"))
+    made = Map(work=FunctionalitySpec("work", modes, (), ("out",)))
+    before, after = (replace(each, functionalities=made) for each in parts)
+    start = system(
+        [replace(before, gate=gate, stop=stop), after], {"a": ("Old", {"out": "/A"})}, topics={"/A": contract}
+    )
+    start = replace(start, timing=Map(probation=0.0))
+    return planner(strategy)(change_between(initial(start), start, start.with_replaced("a", "New"), {}))
+
+
+def removal(plan: Plan) -> tuple[float, float] | None:
+    (found,) = (step.between for step in plan.steps if step.describe() == "remove a")
+    return found
+
+
 def test_a_plan_counts_the_time_for_which_goals_of_the_old_node_may_go_on() -> None:
-    start, target = two_on_one_device()
-
-    def plan(old: StopTimes | None, new: str = "preload", strategy: str = "minimal") -> Plan:
-        parts = start.components.set("OldA", replace(start.components["OldA"], gate="preload", stop=old))
-        parts = parts.set("NewA", replace(start.components["NewA"], gate=new))
-        stated, wanted = replace(start, components=parts), replace(target, components=parts)
-        return planner(strategy)(change_between(initial(stated), stated, wanted, {}))
-
-    def longest(plan: Plan, serving: tuple[str, ...] = ("a",)) -> dict[str, tuple[float, float] | None]:
-        steps = with_time_for_goals(plan, serving).steps
-        return {step.describe(): step.between for step in steps if step.action.kind == "remove"}
-
-    # Besides the patience: 2 times 3 s for what is cancelled, 2 s to answer requests, and the signals.
-    assert longest(plan(None)) == {"remove a": (0.2, 60.0 + 6.0 + 2.0 + 10.0), "remove b": None}
-    assert longest(plan(StopTimes(1.0, 2.0, 3.0, 20.0))) == {
-        "remove a": (0.2, 20.0 + 6.0 + 3.0 + 3.0),
-        "remove b": None,
-    }
-    taken = duration(with_time_for_goals(plan(None), ["a"]))
-    assert taken.between is not None and taken.between[1] == pytest.approx(taken.seconds + 77.8, abs=0.2)
-    # It has no goals, has another kind of successor, or has been removed before that is created.
-    assert longest(plan(None), ()) == longest(plan(None, "relay")) == {"remove a": None, "remove b": None}
-    assert longest(plan(None, strategy="stop")) == {"remove a": None, "remove b": None}
+    # Besides the patience: 3 times 3 s for what is cancelled and for results, 2 s to answer requests, and the signals.
+    plan = with_time_for_goals(replacement(), ["a"])
+    assert removal(plan) == (0.2, 60.0 + 9.0 + 2.0 + 10.0)
+    taken = duration(plan)
+    assert taken.between is not None and taken.between[1] == pytest.approx(taken.seconds + 80.8)
+    assert duration(replacement()).between is None
+    stated = replacement(stop=StopTimes(1.0, 2.0, 3.0, 20.0))
+    assert removal(with_time_for_goals(stated, ["a"])) == (0.2, 20.0 + 9.0 + 3.0 + 3.0)
+    # It has no goals, is of another kind than its successor, or has been removed before that is created.
+    assert removal(with_time_for_goals(replacement())) is None
+    assert removal(with_time_for_goals(replacement(gate="relay"), ["a"])) is None
+    assert removal(with_time_for_goals(replacement("stop"), ["a"])) is None
 
 
 def test_a_declared_action_server_may_have_goals() -> None:
-    action = Predicate("test_msgs/action/Fibonacci")
-    modes = (Mode("normal", (), Map(out=action)), Mode("degraded", (), Map()))
-    functionality = FunctionalitySpec("serving", modes, (), ("out",))
-    start, target = two_on_one_device()
-    parts = start.components
-    for name in ("OldA", "NewA"):
-        served = {"gate": "preload", "functionalities": Map(serving=functionality)}
-        parts = parts.set(name, replace(parts[name], **served))
-    connector = Connector("/A", action)
-    connectors = start.connectors.set("/A", connector)
-    start, target = (replace(each, components=parts, connectors=connectors) for each in (start, target))
-    plan = with_time_for_goals(planner("minimal")(change_between(initial(start), start, target, {})))
-    assert [step.between for step in plan.steps if step.describe() == "remove a"] == [(0.2, 78.0)]
+    plan = replacement(contract=Predicate("test_msgs/action/Fibonacci"))
+    assert removal(with_time_for_goals(plan)) == (0.2, 81.0)
 
 
 def test_a_plan_that_is_best_only_as_expected_says_so() -> None:

@@ -56,7 +56,7 @@ declare namespace Api {
     port: string;
     topic: string;
     seconds: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
   }
 
@@ -276,7 +276,7 @@ declare namespace Api {
   /** A new instance is started. */
   interface CreateStep {
     action: "create";
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
     instance: string;
     role: string;
@@ -305,7 +305,7 @@ declare namespace Api {
     action: "degrade";
     modes: Record<string, ModeChangeForm>;
     seconds: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
   }
 
@@ -326,7 +326,7 @@ declare namespace Api {
     port: string;
     topic: string;
     seconds: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
   }
 
@@ -497,7 +497,7 @@ declare namespace Api {
     action: "handover";
     swaps: SwapForm[];
     seconds: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
   }
 
@@ -909,7 +909,7 @@ declare namespace Api {
     seconds: number;
     /** as the plan is carried out: what can start or end at once, does */
     duration?: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
     /** of roles, ever below their baseline */
     degraded: string[];
@@ -957,7 +957,7 @@ declare namespace Api {
     seconds: number;
     /** as the plan is carried out: what can start or end at once, does */
     duration?: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
     /** of roles, ever below their baseline */
     degraded: string[];
@@ -1001,7 +1001,7 @@ declare namespace Api {
     seconds: number;
     /** as the plan is carried out: what can start or end at once, does */
     duration?: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
     /** of roles, ever below their baseline */
     degraded: string[];
@@ -1129,7 +1129,7 @@ declare namespace Api {
     action: "remove";
     instance: string;
     seconds: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
   }
 
@@ -1252,7 +1252,7 @@ declare namespace Api {
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     seconds: number;
     before?: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
   }
 
@@ -1347,6 +1347,8 @@ declare namespace Api {
     sigkill?: number;
     /** how long it answers what it has taken */
     drain?: number;
+    /** how long its goals may take to end */
+    patience?: number;
   }
 
   /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although what its changes require does not hold. */
@@ -1535,7 +1537,7 @@ declare namespace Api {
     action: "upgrade";
     modes: Record<string, ModeChangeForm>;
     seconds: number;
-    /** the shortest and the longest that were measured (s) */
+    /** the shortest and the longest, as measured or stated (s) */
     between?: [number, number];
   }
 

@@ -227,6 +227,13 @@ struct subject {
   uint8_t goal[16];
 };
 
+/* A goal in progress at a node of this process that the page has no room for. */
+struct beyond {
+  struct beyond *next;
+  uint8_t goal[16];
+  unsigned me;
+};
+
 /* A request to a ROS action that the node has taken and not answered yet. */
 struct taken {
   struct taken *next;
@@ -297,6 +304,7 @@ static struct table first;
 static struct page *page;
 static struct node *node; /* as which the process was started */
 static char page_path[PATH_MAX];
+static struct beyond *beyond; /* with `lock` */
 static uint32_t taken_asked; /* the number of the last request of the manager that was read. With `lock` */
 static int descriptor = -1;
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER; /* of the tables where they change, and of what is kept */
@@ -1114,7 +1122,7 @@ static struct added *find_added(struct requests *requests, unsigned index, const
 static enum turn turn_with(struct requests *requests, const struct entry *entry, const struct subject *subject,
                            const struct request_id *id, int64_t at, bool added, bool own)
 {
-  bool in_flight = false, missing = false;
+  bool in_flight = atomic_load(&page->nodes[entry->me - 1].beyond) != 0, missing = false;
   unsigned owner = 0;
   if (subject->about == ABOUT_ONE) {
     struct goal *goal = find_goal(requests, subject->goal);
@@ -1279,10 +1287,40 @@ static void merge_added(struct requests *requests, struct entry *entry, const st
   free(bytes.buffer);
 }
 
+/* A goal that the page has no room for is accepted: the node is waited for until it has ended, too. */
+static void accept_beyond(const struct entry *entry, const struct subject *subject)
+{
+  struct beyond *accepted = malloc(sizeof *accepted);
+  if (!accepted)
+    return;
+  memcpy(accepted->goal, subject->goal, sizeof accepted->goal);
+  accepted->me = entry->me;
+  pthread_mutex_lock(&lock);
+  accepted->next = beyond;
+  beyond = accepted;
+  atomic_fetch_add(&page->nodes[entry->me - 1].beyond, 1);
+  pthread_mutex_unlock(&lock);
+}
+
+/* Such a goal has ended. With `lock`. */
+static void end_beyond(const uint8_t *goal)
+{
+  for (struct beyond **place = &beyond; *place; place = &(*place)->next)
+    if (memcmp((*place)->goal, goal, sizeof (*place)->goal) == 0) {
+      struct beyond *ended = *place;
+      *place = ended->next;
+      atomic_fetch_sub(&page->nodes[ended->me - 1].beyond, 1);
+      free(ended);
+      return;
+    }
+}
+
 /* Something has happened to a goal of this process. */
 static void on_goal(const struct goal_info *info, enum goal_event event)
 {
   pthread_mutex_lock(&lock);
+  if (event == END)
+    end_beyond(info->id);
   for (struct table *table = &first; table; table = atomic_load(&table->next))
     for (unsigned index = 0; index < ENTRIES; index++) {
       struct entry *entry = &table->entries[index];
@@ -2071,6 +2109,21 @@ EXPORT int rcl_take_request(const void *service, struct request_id *id, void *re
   return result;
 }
 
+/* Answer with the result of a goal whose node has ended, if the manager has kept it in a file: no client had fetched it. */
+static void answer_kept(const struct entry *entry, const uint8_t *goal, void *response)
+{
+  char name[FILE_NAME];
+  int end = snprintf(name, FILE_NAME, "%s.result.", page_path);
+  for (unsigned index = 0; index < 16; index++)
+    end += snprintf(name + end, FILE_NAME - (size_t)end, "%02x", goal[index]);
+  serialized bytes = {.memory = {allocate, deallocate, reallocate, zero_allocate, NULL}};
+  bytes.buffer = entry->response ? read_file(name, &bytes.length) : NULL;
+  bytes.capacity = bytes.length + 1;
+  if (bytes.buffer && real_rmw_deserialize()(&bytes, entry->response, response) != 0)
+    real_rcutils_reset_error()();
+  free(bytes.buffer);
+}
+
 EXPORT int rcl_send_response(const void *service, struct request_id *id, void *response)
 {
   struct entry *entry = find(service);
@@ -2096,8 +2149,10 @@ EXPORT int rcl_send_response(const void *service, struct request_id *id, void *r
     if (taken->goal)
       step_goal(taken->goal, entry->me, begins ? ACCEPT : REJECT);
     else if (begins)
-      atomic_fetch_add(&page->nodes[entry->me - 1].unknown, 1);
+      accept_beyond(entry, &taken->subject);
   }
+  if (taken && entry->service == GET_RESULT && !begins) /* the node does not know the goal */
+    answer_kept(entry, taken->subject.goal, response);
   int result = real_rcl_send_response()(service, id, response);
   struct goal *goal = taken && entry->service == GET_RESULT && begins ? find_goal(requests, taken->subject.goal) : NULL;
   if (goal && result == 0)

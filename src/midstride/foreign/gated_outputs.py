@@ -14,12 +14,12 @@ from typing import Final
 
 from msgspec import structs
 
-from midstride.errors import CommandRefused
+from midstride.errors import BackendError, CommandRefused
 from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_state import LOOK, PUBLISHING, MovingSides, longest_wait
 from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
-from midstride.foreign.page import OPEN, OUTPUT, GoalState
+from midstride.foreign.page import GOALS, OPEN, OUTPUT, GoalState, KnownGoal
 from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.model.component import CANCELLING
 from midstride.node.control.attachments import READY_AFTER, not_matched
@@ -228,36 +228,74 @@ class GatedOutputs(UngatedOutputs):
         self._node.unfinished = "; ".join(found) or None
 
     async def _goals_end(self) -> list[str]:
-        """Wait until each goal has ended and its result was fetched, or is not kept any longer; then cancel the rest.
+        """Wait until each goal has ended, and cancel the rest; results that no client fetches are kept.
 
-        What is not known to have ended, in words. A node that hangs is not waited for.
+        What is not known to have ended, or is lost, in words. A node that hangs is not waited for.
         """
-        gates, begun = self._gates, time.monotonic()
+        gates, node, begun = self._gates, self._node, time.monotonic()
         looked, since = gates.page.beat(gates.index), begun
+        if node.record.draining_since is None:
+            node.change_record(draining_since=begun)
+        waited = begun - (node.record.draining_since or begun)  # by a manager that was killed
+
+        def ended() -> bool:
+            return not gates.goals(*UNENDED) and not gates.goals_beyond
 
         def over() -> bool:
             nonlocal looked, since
             if (beat := gates.page.beat(gates.index)) != looked:
                 looked, since = beat, time.monotonic()
-            return not gates.goals() or time.monotonic() - since > STOPPED or self._hangs() is not None
+            return ended() or time.monotonic() - since > STOPPED or self._hangs() is not None
 
-        await self._node.comes_true(over, self._node.component.stop_times.patience)
-        unended, unfetched = gates.goals(*UNENDED), gates.goals(GoalState.ENDED)
-        beyond = gates.goals_beyond()
-        found = [] if beyond is None else [beyond]
-        if unended:
-            seconds = time.monotonic() - begun
-            gates.cancel_goals()
-            await self._node.comes_true(lambda: not gates.goals(*UNENDED), CANCELLING)
+        found = []
+        if beyond := gates.goals_beyond:
+            what = f"{beyond} of its goals {'was' if beyond == 1 else 'were'} not known"
             found.append(
-                f"{_counted(unended)} had not ended after {seconds:.0f} s (`patience`), and cancelling was asked for"
+                f"{what}, since {GOALS} others were in progress: what was asked about them was not handed over"
             )
-            if still := gates.goals(*UNENDED):
-                found.append(f"{_counted(still)} had not ended {CANCELLING:g} s later")
-            await self._node.comes_true(lambda: not gates.goals(), CANCELLING)
-        if unfetched:
-            found.append(f"no client had asked for the results of {_counted(unfetched)}")
+        await node.comes_true(over, max(0.0, node.component.stop_times.patience - waited))
+        if not ended():
+            unended, seconds = _unended(gates), time.monotonic() - begun + waited
+            gates.cancel_goals()
+            await node.comes_true(ended, CANCELLING)
+            found.append(f"{unended} had not ended after {seconds:.0f} s (`patience`), and cancelling was asked for")
+            if not ended():
+                found.append(f"{_unended(gates)} had not ended {CANCELLING:g} s later")
+        await node.comes_true(lambda: not gates.goals(GoalState.ENDED), CANCELLING)
+        if lost := await self._keep_results():
+            is_one = lost.total() == 1
+            found.append(
+                f"the result{'' if is_one else 's'} of {_counted(lost)} that no client had fetched "
+                f"{'is' if is_one else 'are'} lost"
+            )
         return found
+
+    async def _keep_results(self) -> Counter[str]:
+        """Keep the results that no client has fetched; how many are lost all the same, by ROS action."""
+        gates, lost = self._gates, Counter[str]()
+        try:
+            left = gates.ask_for_results()
+        except BackendError:
+            return gates.goals(GoalState.ENDED)
+
+        def kept(goal: KnownGoal, number: int) -> bool:
+            try:
+                return gates.keep_result(goal, number)
+            except BackendError:
+                lost[goal.action] += 1
+                return True
+
+        def answered() -> bool:
+            for goal, number in list(left.items()):
+                if kept(goal, number):
+                    del left[goal]
+            return not left
+
+        await self._node.comes_true(answered, CANCELLING)
+        for goal, number in left.items():
+            gates.page.withdraw(gates.index, number)
+            lost[goal.action] += 1
+        return lost
 
     # -- hand-over -------------------------------------------------------------------------------------
 
@@ -453,6 +491,13 @@ class GatedOutputs(UngatedOutputs):
     def _restore(self, cut: _Cut) -> None:
         for port, baton in cut.own.items():
             self._gates.entry(port).baton = baton
+
+
+def _unended(gates: Gates) -> str:
+    """The goals that have not ended, in words."""
+    known, beyond = gates.goals(*UNENDED), gates.goals_beyond
+    others = [f"{beyond} goal{'s' * (beyond != 1)} that {'are' if beyond != 1 else 'is'} not known"] if beyond else []
+    return ", ".join([*filter(None, [_counted(known)]), *others])
 
 
 def _counted(goals: Counter[str]) -> str:

@@ -11,13 +11,14 @@ from typing import Final
 from midstride.errors import BackendError
 from midstride.foreign.page import (
     CLOSED,
-    GOALS,
+    GET_RESULT,
     INPUT,
     LISTS,
     NAMES_ONE,
     OPEN,
     OUTPUT,
     GoalState,
+    KnownGoal,
     Page,
     PagePort,
     PortFlag,
@@ -27,6 +28,8 @@ from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 
 # For how long a writer without a rate leaves the baton to its successor (s).
 PATIENCE: Final = 2.0
+# How a serialized message begins whose numbers are so.
+_LITTLE_ENDIAN: Final = b"\0\1\0\0"
 
 
 @dataclass
@@ -235,12 +238,29 @@ class Gates:
     def goals(self, *states: GoalState) -> Counter[str]:
         """How many goals of each ROS action this node has in one of these states; without any, that are not over."""
         wanted = states or (GoalState.RESERVED, GoalState.ASKED, GoalState.ACCEPTED, GoalState.ENDED)
-        return Counter(action for action, state in self.page.goals(self.index) if state in wanted)
+        return Counter(goal.action for goal in self.page.goals(self.index) if goal.state in wanted)
 
-    def goals_beyond(self) -> str | None:
-        """Say how many goals are not known since the page had no room for them; None if there is none."""
-        beyond = self.page.layout.nodes[self.index].unknown
-        return f"{beyond} of its goals were not known, since {GOALS} others were in progress" if beyond else None
+    @property
+    def goals_beyond(self) -> int:
+        """How many goals it has in progress that the page has no room for."""
+        return int(self.page.layout.nodes[self.index].beyond)
+
+    def ask_for_results(self) -> dict[KnownGoal, int]:
+        """Ask the node for the results that no client has fetched; by goal, the number of the request.
+
+        Raises BackendError.
+        """
+        unfetched = [goal for goal in self.page.goals(self.index) if goal.state is GoalState.ENDED]
+        return {
+            goal: self.page.ask(self.index, goal.action + GET_RESULT, _LITTLE_ENDIAN + goal.id) for goal in unfetched
+        }
+
+    def keep_result(self, goal: KnownGoal, number: int) -> bool:
+        """Keep the result that the node has given to the request ``number``; whether it has. Raises BackendError."""
+        response = self.page.response(self.index, number)
+        if response is not None:
+            self.page.keep_result(goal.id, response)
+        return response is not None
 
     def cancel_goals(self) -> None:
         self.page.cancel_goals(self.index)

@@ -18,7 +18,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 8 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 9 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -81,7 +81,7 @@ struct node {
   _Atomic uint32_t marked; /* whether `mark` is set: then the graph shows its process under it */
   uint8_t mark[MARK];      /* the identity of the first publisher of its process, which begins with that of the process */
   _Atomic uint32_t cancels; /* whether the helper thread is to cancel the goals that it has */
-  _Atomic uint32_t unknown; /* how many goals it has accepted that the page had no room for */
+  _Atomic uint32_t beyond; /* how many goals it has in progress that the page had no room for */
   uint32_t spare;
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */

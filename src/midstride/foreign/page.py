@@ -12,13 +12,13 @@ from collections.abc import Iterator, Sequence
 from ctypes import c_char, c_int, c_int64, c_uint8, c_uint32, c_uint64, c_void_p
 from enum import IntEnum, IntFlag
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 8
+VERSION: Final = 9
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -35,8 +35,11 @@ ADDED: Final = 4
 # Of how many requests that a server has answered it is known how long each took.
 LATEST: Final = 8
 
-# What follows the name of a ROS action in that of its service which takes goals.
+# What follows the name of a ROS action in those of its services which take goals, and respond with their results.
 SEND_GOAL: Final = "/_action/send_goal"
+GET_RESULT: Final = "/_action/get_result"
+# How many bytes the results of goals have at most, in all, that are kept since no client has fetched them.
+KEPT_RESULTS: Final = 16 << 20
 
 # The folder beside the control sockets with the records of the nodes and this file.
 GATES_FOLDER: Final = "gates"
@@ -110,7 +113,7 @@ class PageNode(ctypes.Structure):
         ("marked", c_uint32),
         ("mark", c_uint8 * MARK),
         ("cancels", c_uint32),
-        ("unknown", c_uint32),
+        ("beyond", c_uint32),
         ("spare", c_uint32),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
@@ -168,6 +171,14 @@ class GoalState(IntEnum):
     ACCEPTED = 3
     ENDED = 4
     FETCHED = 5
+
+
+class KnownGoal(NamedTuple):
+    """A goal of a node in the page: the full name of its ROS action, its state, and its UUID."""
+
+    action: str
+    state: GoalState
+    id: bytes
 
 
 class PageRequests(ctypes.Structure):
@@ -482,20 +493,42 @@ class Page:
 
     # -- goals of ROS actions --------------------------------------------------------------------------
 
-    def goals(self, index: int) -> list[tuple[str, GoalState]]:
-        """The goals that the node ``index`` has accepted, or is about to, each with the full name of its ROS action."""
+    def goals(self, index: int) -> list[KnownGoal]:
+        """The goals that the node ``index`` has accepted, or is about to."""
         number = self.layout.nodes[index].requests
-        found: list[tuple[str, GoalState]] = []
+        found: list[KnownGoal] = []
         for goal in self._requests[number - 1].goals if number else ():
             if goal.word & 0xFFF == index + 1 and (state := GoalState(goal.word >> 12 & 0xF)) is not GoalState.NO_GOAL:
                 service = self._ports[goal.port - 1].topic.decode() if goal.port else ""
-                found.append((service.removesuffix(SEND_GOAL), state))
+                found.append(KnownGoal(service.removesuffix(SEND_GOAL), state, bytes(goal.id)))
         return found
 
     def cancel_goals(self, index: int) -> None:
         """Have the process of the node ``index`` cancel all its goals, as a client of its would."""
         self.layout.nodes[index].cancels = True
         self.ring(index)
+
+    def keep_result(self, goal: bytes, response: bytes) -> None:
+        """Keep the response with the result of a goal (its UUID) for the node that answers once its own has ended.
+
+        The oldest are given up where all would have more than KEPT_RESULTS bytes. Raises BackendError.
+        """
+        path = self.path.with_name(f"{self.path.name}.result.{goal.hex()}")
+        if len(response) > KEPT_RESULTS:
+            raise BackendError(f"a result of {len(response)} bytes is not kept, only up to {KEPT_RESULTS}")
+        kept = sorted(kept_results(self.path), key=lambda each: each.stat().st_mtime_ns)
+        size = len(response) + sum(each.stat().st_size for each in kept)
+        for oldest in kept:
+            if size <= KEPT_RESULTS:
+                break
+            size -= oldest.stat().st_size
+            oldest.unlink()
+        try:
+            new = path.with_suffix(".new")
+            new.write_bytes(response)
+            new.replace(path)
+        except OSError as error:
+            raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
 
     # -- what its processes do -------------------------------------------------------------------------
 
@@ -555,6 +588,11 @@ class Page:
     def beat(self, index: int) -> int:
         """A number that changes each time the helper thread of a node has looked."""
         return int(self.layout.nodes[self.layout.nodes[index].process - 1].beat)
+
+
+def kept_results(page: Path) -> list[Path]:
+    """The files with the results of goals that are kept beside the page, the file ``page``."""
+    return list(page.parent.glob(f"{page.name}.result.*"))
 
 
 def _version_of(file: int) -> int | None:

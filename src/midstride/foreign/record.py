@@ -26,6 +26,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     ``predecessor``: the full name of the node that it replaces, where that runs until this one is up; ``replaces``: the
     instance that has it.
     ``was_active``: it is a lifecycle node that another program manages, and it or its predecessor has been active.
+    ``draining_since``: since when its goals have been waited for, as its successor takes new ones (monotonic s).
     ``role``: what it is an instance of. ``unnamed``: its program gives the node its name itself, and it was not passed
     one; ``node`` is empty until it is found. ``revision`` counts its changes.
     """
@@ -51,6 +52,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     predecessor: str | None = None
     replaces: str = ""
     was_active: bool = False
+    draining_since: float | None = None
     role: str = ""
     unnamed: bool = False
     revision: int = 0

@@ -54,8 +54,8 @@ class StopTimes:
 
 
 DEFAULT_STOP: Final = StopTimes()
-# How long a node has to end the goals that are cancelled when its patience is over, and then its clients to ask what
-# became of them (s).
+# How long a node has to end the goals that are cancelled when its patience is over, then its clients to fetch the
+# results, and then the node to give those that no client has fetched (s).
 CANCELLING: Final = 3.0
 # For a process that must not run again, not for an instant.
 KILL_AT_ONCE: Final = StopTimes(0.0, 0.0)

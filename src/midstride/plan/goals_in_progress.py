@@ -33,6 +33,6 @@ def with_time_for_goals(plan: Plan, serving: Collection[str] = ()) -> Plan:
 
 
 def _longest(component: ComponentSpec) -> float:
-    """How long it may take to end (s): its goals, their cancellation, what it has to answer, and its process."""
+    """How long it may take to end (s): its goals and their results, what it has to answer, and its process."""
     stop = component.stop_times
-    return stop.patience + 2 * CANCELLING + stop.drain + stop.longest
+    return stop.patience + 3 * CANCELLING + stop.drain + stop.longest

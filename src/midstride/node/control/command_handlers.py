@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from midstride.codec.parameter import from_json, json_value
 from midstride.errors import BackendError, CommandRefused
-from midstride.model.component import GOAL_PATIENCE, ROS_PARAMETERS, same_value
+from midstride.model.component import DEFAULT_STOP, ROS_PARAMETERS, same_value
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.author.service_ports import ActionServerPort, ServerPort
 from midstride.node.component_host import HeldParameter, Host
@@ -223,10 +223,10 @@ class CommandHandlers:
         """Where a successor takes new goals, go on with those of ports until they have ended and sent their results."""
         if not self._goes_on_with_goals:
             return
-        deadline = self.host.steady() + int(GOAL_PATIENCE * 1e9)
+        deadline = self.host.steady() + int(DEFAULT_STOP.patience * 1e9)
         while self._goals:
             if self.host.steady() >= deadline:
-                words = f"{self._goals} goals had not ended within {GOAL_PATIENCE:g} s"
+                words = f"{self._goals} goals had not ended within {DEFAULT_STOP.patience:g} s"
                 self.host.logger.error(f"{self.host.instance} ends, but {words}")
                 return
             await self.host.sleep(0.01)
@@ -294,7 +294,7 @@ class CommandHandlers:
         """
         callbacks = self.parts.callbacks
         requests = REQUESTS_SECONDS if self.host.admission.busy else 0.0
-        requests += GOAL_PATIENCE + RESPONSE_SECONDS if self._goes_on_with_goals else 0.0
+        requests += DEFAULT_STOP.patience + RESPONSE_SECONDS if self._goes_on_with_goals else 0.0
         requests += RESPONSE_SECONDS if requests or self.host.admission.answered_within(RESPONSE_SECONDS) else 0.0
         return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
 

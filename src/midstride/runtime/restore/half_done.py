@@ -13,7 +13,7 @@ from typing import Final
 from midstride import verdicts
 from midstride.codec.parameter import from_json
 from midstride.errors import MidstrideError
-from midstride.model.component import same_value
+from midstride.model.component import ComponentSpec, same_value
 from midstride.model.configuration import Instance
 from midstride.runtime.change.lost_endpoints import what_ended
 from midstride.runtime.change.managed_nodes import PLAN_LOOK, look_at_managers
@@ -37,11 +37,17 @@ class HalfDone:
     events: EventLog
 
     async def end(
-        self, instance: Instance, state: ComponentState, because: str, stays: ComponentState | None = None
+        self,
+        instance: Instance,
+        state: ComponentState,
+        because: str,
+        stays: ComponentState | None = None,
+        beside: ComponentSpec | None = None,
     ) -> None:
-        """End ``instance``, which was last in ``state``; ``stays``: the state of the one of its role that goes on.
+        """End ``instance``, which was last in ``state``.
 
-        ``because``: what it is. If it cannot be ended, that is said, and `down` tries again.
+        ``stays``: the state of the one of its role that goes on; ``beside``: its component. ``because``: what the ended
+        one is. If it cannot be ended, that is said, and `down` tries again.
         """
         name, clock, before = instance.name, self.client.clock, self.events.last
         # Its agent is new, and has not seen the manager yet.
@@ -59,7 +65,14 @@ class HalfDone:
         found = [
             *_outputs(state, stays),
             *_values(instance, state, stays),
-            *what_ended(name, instance.component, known, planned=False, new="this manager had just been started"),
+            *what_ended(
+                name,
+                instance.component,
+                known,
+                planned=False,
+                new="this manager had just been started",
+                beside=beside,
+            ),
             *(verdicts.managed_end(name, reasons) for reasons in [state.managed] if reasons),
             *self._others(name),
             *(verdicts.killed(each.instance, each.words) for each in killed_processes(self.events.since(before))),

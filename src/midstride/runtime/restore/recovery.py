@@ -87,15 +87,15 @@ async def recover(
     redundant = _redundant(found)
     for name in redundant:
         instance, state = found.pop(name)
-        stays = None
+        stays, beside = None, None
         for other, (successor, theirs) in found.items():
             if successor.role == instance.role and other not in redundant:
-                stays = theirs
+                stays, beside = theirs, successor.component
                 with suppress(MidstrideError):
                     left = await have_answer(client, other, name, instance.component.stop_times.drain)
                     if left is not None:
                         events.add("note", left)
-        await half_done.end(instance, state, "which an earlier manager had left half done", stays)
+        await half_done.end(instance, state, "which an earlier manager had left half done", stays, beside)
     for name in found:
         await have_answer(client, name)
     for name, (instance, observed) in found.items():

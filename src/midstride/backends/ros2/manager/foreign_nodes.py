@@ -34,7 +34,7 @@ from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.mode_parameters import typed
 from midstride.foreign.node import of_topics
 from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
-from midstride.foreign.page import PAGE, Page
+from midstride.foreign.page import PAGE, Page, kept_results
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.foreign.reported_states import ReportedStates
@@ -286,6 +286,8 @@ class ForeignNodes:
             path = self._folder / PAGE
             if not any(self._folder.glob("*.json")):
                 path.unlink(missing_ok=True)  # nothing uses it, and an earlier version may have made it
+                for kept in kept_results(path):
+                    kept.unlink(missing_ok=True)
             self._page = Page(path, library)
         return self._page, library
 
