@@ -212,7 +212,10 @@ def answer(path: Path, arguments: dict[str, str], prefix: Path) -> dict[str, Any
         errors = (
             [each for each in recorder.log_errors if "Caught exception" in each] or recorder.log_errors or ["failed"]
         )
-        found["error"] = shortened(re.sub(r" at 0x\w+", "", errors[0]).replace(_CAUGHT, ""), prefix)[:300]
+        words = re.sub(r" at 0x\w+", "", errors[0]).replace(_CAUGHT, "")
+        # A set has another order in each process.
+        words = re.sub(r"\{('[^{}]*')\}", lambda found: f"{{{', '.join(sorted(found[1].split(', ')))}}}", words)
+        found["error"] = shortened(words, prefix)[:300]
     return found
 
 
