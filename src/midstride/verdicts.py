@@ -245,6 +245,37 @@ def ends_with(instance: str, served: Sequence[str], *, planned: bool) -> Assessm
     return Assessment(instance, "not_measurable", words)
 
 
+def another_name(instance: str, before: str, after: str | None, *, planned: bool) -> Assessment:
+    """The node of a replacement is not called ``before``, as that of the instance that it replaces.
+
+    ``after``: how it is called; None where its program has it from another name.
+    """
+    name = "has another name" if after is None else f"is called {after}"
+    until = f"from the end of {instance} on" if planned else f"since {instance} has ended"
+    words = (
+        f"requests of others to services below {before}, as for its parameters: the node of its replacement {name}, so "
+        f"none is answered {until}"
+    )
+    return Assessment(instance, "not_measurable", words)
+
+
+def unanswered_meanwhile(
+    instance: str, node: str, replacement: str, seconds: float, *, planned: bool, serves: bool
+) -> Assessment:
+    """A node was ended before the one that replaces it, under its name, was started.
+
+    ``seconds``: from when it is asked to end until the other one is started. ``serves``: that has its services by then.
+    """
+    words = f"requests of others to services of {node}, as for its parameters: {instance} "
+    if planned:
+        words += f"ends before {replacement} is started, so none is answered for about {seconds_in_words(seconds)}"
+        words += "" if serves else ", and until its program has started up"
+    else:
+        words += f"had ended before {replacement} was started, so none was answered for {seconds_in_words(seconds)}"
+        words += "" if serves else ", and when its program had started up is not known"
+    return Assessment(instance, "not_measurable", words)
+
+
 def answered_if_offered(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
     """What a node without Midstride's API serves is served by its successor, a node of another component."""
     one = len(served) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
@@ -116,9 +117,16 @@ component Ours {
 component OurOther like Ours { run "python3 ours.py" }
 node talker : Ours { out -> /chat  count -> /count  map -> /map }
 """
+# The same as a lifecycle node, whose service is one below its name.
+LIFECYCLE_SERVER = (
+    SERVER.replace("from rclpy.node import Node", "from rclpy.lifecycle import LifecycleNode as Node")
+    .replace("create_publisher(", "create_lifecycle_publisher(")
+    .replace("    global number\n", "    global number\n    if not publisher.is_activated:\n        return\n")
+    .replace('"count"', '"~/count"')
+)
 
 # Bare clients, each with one request at a time, until SIGTERM. It writes each: its name, its latency (s), who answered,
-# and when it was sent (monotonic, s). A fourth argument: after how long a request is given up (s).
+# and when it was sent (monotonic, s). The last arguments: after how long a request is given up (s), and the service.
 CLIENTS = """
 import signal
 import sys
@@ -132,10 +140,10 @@ from rcl_interfaces.srv import ListParameters
 rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
 node = Node("callers")
 number, period, takes = int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3])
-patience = float(sys.argv[4]) if len(sys.argv) > 4 else float("inf")
+patience, service = float(sys.argv[4]), sys.argv[5]
 # A client's queue has the responses to all clients of the service: of ten, some fall out where this process is late.
 deep = QoSProfile(depth=400)
-clients = [node.create_client(ListParameters, "count", qos_profile=deep) for _ in range(number)]
+clients = [node.create_client(ListParameters, service, qos_profile=deep) for _ in range(number)]
 for client in clients:
     client.wait_for_service()
 stopped, sent, waiting = [], 0, {}
@@ -259,15 +267,21 @@ Until = Callable[[Callable[[], bool]], Awaitable[None]]
 
 @asynccontextmanager
 async def calling(
-    folder: Path, until: Until, clients: int = 20, period: float = 0.1, takes: int = 0, patience: float | None = None
+    folder: Path,
+    until: Until,
+    clients: int = 20,
+    period: float = 0.1,
+    takes: int = 0,
+    patience: float = math.inf,
+    service: str = "count",
 ) -> AsyncIterator[Calls]:
-    """Meanwhile, bare clients call; each request takes ``takes`` ms, and is given up after ``patience`` (s).
+    """Meanwhile, bare clients call ``service``; a request takes ``takes`` ms, and is given up after ``patience`` (s).
 
     ``until`` waits for what is to come true. At the end, all that was sent has been answered, or was given up.
     """
     with (folder / "answered").open("w") as output:
-        numbers = [clients, period, takes] + ([] if patience is None else [patience])
-        command = [sys.executable, str(folder / "clients.py"), *map(str, numbers)]
+        given = map(str, (clients, period, takes, patience, service))
+        command = [sys.executable, str(folder / "clients.py"), *given]
         process = subprocess.Popen(command, stdout=output, env=without_midstride())
         try:
             calls = Calls(folder)
@@ -283,9 +297,9 @@ async def calling(
 
 @asynccontextmanager
 async def called(
-    folder: Path, system: Robot, clients: int = 20, period: float = 0.1, takes: int = 0
+    folder: Path, system: Robot, clients: int = 20, period: float = 0.1, takes: int = 0, service: str = "count"
 ) -> AsyncIterator[Calls]:
     """As :func:`calling`; at the end, all that were sent are judged."""
-    async with calling(folder, system.until, clients, period, takes) as calls:
+    async with calling(folder, system.until, clients, period, takes, service=service) as calls:
         yield calls
     calls.are_handled_once()

@@ -12,6 +12,7 @@ import pytest
 
 from midstride.lang.load import load
 from tests.acceptance.foreign_support import Robot, declared_talker, robot
+from tests.acceptance.serving import CLIENTS, LIFECYCLE_SERVER, called
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 
@@ -96,3 +97,47 @@ def test_one_client_sets_the_parameters_of_a_node_across_replacements(tmp_path: 
 @pytest.mark.long
 def test_one_client_sets_the_parameters_of_a_node_across_many_replacements(tmp_path: Path) -> None:
     kept_across(tmp_path, REPLACEMENTS)
+
+
+def test_a_lifecycle_node_without_gates_keeps_its_name_and_hands_its_requests_over(tmp_path: Path) -> None:
+    """`gate lifecycle`: the library is in its process for its services alone."""
+    (tmp_path / "server.py").write_text(LIFECYCLE_SERVER.replace("node.create_timer", DECLARES), encoding="utf-8")
+    (tmp_path / "clients.py").write_text(CLIENTS, encoding="utf-8")
+    text = "system cameras\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
+    text += declared_talker("Plain", "python3 server.py", "lifecycle")
+    text += declared_talker("Other", "python3 server.py", "lifecycle")
+    (tmp_path / "cameras.stride").write_text(f"{text}node talker : Plain {{ out -> /chat }}\n", encoding="utf-8")
+
+    async def scenario() -> None:
+        from lifecycle_msgs.srv import GetState
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        async with robot(load(tmp_path / "cameras.stride").require(), tmp_path) as system:
+            node = system.bare.node
+            state = node.create_client(GetState, "/talker/get_state")
+            setting = node.create_client(SetParameters, "/talker/set_parameters")
+            await system.until(lambda: state.service_is_ready() and setting.service_is_ready())
+            value = Parameter("resolution", value=0.5).to_parameter_msg()
+            done = setting.call_async(SetParameters.Request(parameters=[value]))
+            await system.until(done.done)
+            async with called(tmp_path, system, service="/talker/count") as calls:
+                for component in ("Other", "Plain"):
+                    await system.replaced(component)
+                    await system.until(lambda: node.get_node_names().count("talker") == 1)
+                    asked = state.call_async(GetState.Request())
+                    await system.until(asked.done)
+                    assert asked.result().current_state.label == "active"
+                    (report,) = await system.manager.parameters("talker")
+                    assert {each.name: each.value for each in report.parameters}["resolution"] == 0.5
+                count = len(calls.answered)
+                await system.until(lambda: len(calls.answered) > count + 40)
+                assert {server for _, server in calls.handled} == {"talker", "talker_2", "talker_3"}
+            assert not any(name.startswith("talker_") for name in node.get_node_names())
+            assert (await system.manager.status()).valid
+
+    with ended():
+        run(scenario())
+
+
+DECLARES = 'node.declare_parameter("resolution", 0.1)\nnode.create_timer'

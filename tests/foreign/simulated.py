@@ -155,7 +155,7 @@ class _Transport:
 
 
 class SimulatedRos(Simulator):
-    """A simulator with nodes that do not use Midstride's API, without a gate inside.
+    """A simulator with nodes that do not use Midstride's API, without the library inside.
 
     ``behaviour``: by component, what its nodes have of the fields of :class:`SimulatedNode`.
     """
@@ -190,9 +190,9 @@ class SimulatedRos(Simulator):
         node.values = {name: value for name, value in values.items() if name not in node.lacks}
         handle = Handle(launch.instance, None, self.time.steady())
         try:
-            _, record = await self._foreign.prepare(
-                launch, launch.foreign, full_name(launch.instance, launch.namespace), {}
-            )
+            name = full_name(launch.instance, launch.namespace)
+            without_library = {"CC": "none", "XDG_CACHE_HOME": str(self._folder)}
+            _, record = await self._foreign.prepare(launch, launch.foreign, name, without_library)
             await self._foreign.started(record, handle)
         except BaseException:
             self._gone(launch.instance)

@@ -116,7 +116,7 @@ def _described(
         environment=environment,
         files=files,
         because=because,
-        names_all=not instance.component.preloads and any(word.startswith("__node:=") for word in command),
+        names_all=not instance.component.loads_library and any(word.startswith("__node:=") for word in command),
     )
 
 

@@ -104,7 +104,7 @@ class ForeignCommands:
         node = self._node
         match command:
             case commands.AttachCommand(port=port, topic=name):
-                if command.gate == "closed" and node.gates is None:
+                if command.gate == "closed" and node.requests is None:
                     kind = f"`gate {node.component.gate}`"
                     raise CommandRefused(
                         f"{node.record.instance} answers {name} at once ({kind}): nothing holds it back"

@@ -31,6 +31,11 @@ def compiler(environment: Mapping[str, str] = os.environ) -> list[str] | None:
     return next(([path] for path in found if path), None)
 
 
+def is_available(environment: Mapping[str, str] = os.environ) -> bool:
+    """Return whether the library is compiled, or there is a compiler for it."""
+    return library_path(environment).exists() or compiler(environment) is not None
+
+
 def library(environment: Mapping[str, str] = os.environ) -> Path:
     """The compiled library for this machine, compiled if it is not in the cache. Raises StartFailed.
 

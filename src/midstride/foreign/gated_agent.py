@@ -74,12 +74,13 @@ class ForeignAgent:
         predecessor: NodeServices | None = None,
         managers: LifecycleManagers | None = None,
         states: StatePeers | None = None,
+        requests: Gates | None = None,
     ) -> None:
         """``served``: what the node serves; ``managers``: what is known of lifecycle managers; ``states``: of state.
 
         Of the one that it replaces, ``before`` has the endpoints, and ``predecessor`` what it can be asked.
         """
-        self.node = ForeignNode(record, folder, gates, others or ReportedStates())
+        self.node = ForeignNode(record, folder, gates, others or ReportedStates(), requests)
         self._states = states or StatePeers()
         outputs = UngatedOutputs(self.node) if gates is None else GatedOutputs(self.node, gates, self._states)
         self._services = services
@@ -90,7 +91,8 @@ class ForeignAgent:
         if services is not None and self.node.component.has_lifecycle:
             self.lifecycle = LifecycleNode(self.node, services)
             if gates is None:
-                outputs = LifecycleOutputs(self.lifecycle, peers or LifecyclePeers(), self._states)
+                answering = None if requests is None else GatedOutputs(self.node, requests, self._states)
+                outputs = LifecycleOutputs(self.lifecycle, peers or LifecyclePeers(), self._states, answering)
         self._state: ForeignState | None = None
         if services is not None and served is not None:
             self._state = self._states.nodes[record.instance] = ForeignState(self.node, services, served)

@@ -63,10 +63,7 @@ class Gates:
         self._entries = dict(zip(self._names, self.page.ports(self.index), strict=True))
         if not listed:
             self.page.layout.nodes[self.index].used |= LISTS
-        # Else the name is passed for one node only, or none.
-        if not self.component.unnamed and self.component.renames is None:
-            self.page.layout.nodes[self.index].used |= NAMES_ONE
-        self.page.have_requests(self.index, predecessor)
+        self.prepare_requests(predecessor)
         self.page.have_unstated(self.index, PATIENCE, predecessor)
         baton = self.page.new_baton(self.index)
         for port in self._names:
@@ -78,6 +75,13 @@ class Gates:
                 entry.half = int(min(5e5 / rate, 2**32 - 1)) if rate else 0
             else:
                 entry.gate = OPEN
+
+    def prepare_requests(self, predecessor: int | None = None) -> None:
+        """Before the process starts, the requests to its services alone: no topic gets a gate."""
+        # Else the name is passed for one node only, or none.
+        if not self.component.unnamed and self.component.renames is None:
+            self.page.layout.nodes[self.index].used |= NAMES_ONE
+        self.page.have_requests(self.index, predecessor)
 
     def rate(self, port: str) -> float | None:
         """Return the rate that an output guarantees in its normal mode (Hz); None if none, or if it is lazy."""

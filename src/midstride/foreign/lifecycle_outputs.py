@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from midstride.errors import CommandRefused
 from midstride.foreign.foreign_state import StatePeers, moved
+from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.node import WATCH
 from midstride.foreign.services import NoAnswer
@@ -36,13 +37,19 @@ class LifecyclePeers:
 
 
 class LifecycleOutputs(UngatedOutputs):
-    """The outputs of the lifecycle node ``own``: open while it is active."""
+    """The outputs of the lifecycle node ``own``: open while it is active.
 
-    def __init__(self, own: LifecycleNode, peers: LifecyclePeers, states: StatePeers) -> None:
+    ``answering`` hands its requests over, where the library is in its process, for its services alone.
+    """
+
+    def __init__(
+        self, own: LifecycleNode, peers: LifecyclePeers, states: StatePeers, answering: GatedOutputs | None = None
+    ) -> None:
         super().__init__(own.node)
         self._own = own
         self._peers = peers
         self._states = states
+        self._answering = answering
         self._cuts: dict[str, tuple[str | None, list[str]]] = {}  # the old side, None on that side, and the ports
         peers.nodes[own.node.record.instance] = own
 
@@ -93,6 +100,13 @@ class LifecycleOutputs(UngatedOutputs):
         self._peers.exchanges[command.cut] = exchange
         exchange.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved
         return replies.Done()
+
+    async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
+        return replies.Answers() if self._answering is None else await self._answering.answer(command)
+
+    async def finish(self) -> None:
+        if self._answering is not None:
+            await self._answering.finish()
 
     async def _exchange(
         self, old: LifecycleNode, theirs: list[str], ours: list[str], transfer: commands.StateTransfer | None

@@ -41,15 +41,25 @@ SAMPLE: Final = 0.2
 
 
 class ForeignNode:
-    """The node of ``record``, whose file is in ``folder``. ``gates`` is None for `gate none`.
+    """The node of ``record``, whose file is in ``folder``. ``gates`` is None where nothing holds its outputs back.
+
+    ``requests``: those gates, or the part in the page of a node of which the library hands over the requests alone.
 
     ``others``: what the components with an agent inside report.
     """
 
-    def __init__(self, record: ForeignRecord, folder: Path, gates: Gates | None, others: ReportedStates) -> None:
+    def __init__(
+        self,
+        record: ForeignRecord,
+        folder: Path,
+        gates: Gates | None,
+        others: ReportedStates,
+        requests: Gates | None = None,
+    ) -> None:
         self.record = record
         self.unwritten: str | None = None  # why its file has an earlier one
         self.gates = gates
+        self.requests = requests or gates
         self.component = record.declaration.declared()
         # As of the last time that the node was asked: its parameters, and those set while it ran with what they were.
         self.parameters: dict[str, Any] = {}
@@ -194,7 +204,7 @@ class ForeignNode:
     @property
     def answers(self) -> bool:
         """Return whether it answers requests to the services that the instances of its role share."""
-        return self.gates is None or self.gates.answers
+        return self.requests is None or self.requests.answers
 
     def gate_states(self) -> dict[str, GateState | None]:
         """By attached port. An output is open where the node also has the baton; inputs have none."""
@@ -265,6 +275,11 @@ class ForeignNode:
         covered, age = now - seen[0][0], gates.age(port)
         rate = None if age is None or covered < SAMPLE else (total - seen[0][1]) / covered
         return Measured(window=window, covered=min(window, covered), rate=rate, age=age)
+
+
+def of_services(component: ComponentSpec) -> ComponentSpec:
+    """``component`` without ports: of its node, the library hands over the requests alone."""
+    return without_ports(component, list(component.ports()))
 
 
 def of_topics(component: ComponentSpec) -> ComponentSpec:

@@ -27,7 +27,8 @@ ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] |
 ROS_PARAMETERS: Final[Mapping[str, ParameterValue]] = {"use_sim_time": False}
 
 # What holds back the outputs of a program that does not use Midstride's API: a preloaded library, a process that passes
-# on its messages, the lifecycle of its ROS 2 node, with or without the library, or nothing.
+# on its messages, the lifecycle of its ROS 2 node, with or without that library, or nothing. With `lifecycle` alone,
+# the library hands over the requests to its services, and holds back no outputs.
 Gate: TypeAlias = Literal["preload", "relay", "lifecycle", "lifecycle preload", "none"]
 GATES: Final[tuple[Gate, ...]] = get_args(Gate)
 
@@ -367,6 +368,11 @@ class ComponentSpec:
     def preloads(self) -> bool:
         """Whether a preloaded library holds back what its program publishes."""
         return self.gate in ("preload", "lifecycle preload")
+
+    @property
+    def loads_library(self) -> bool:
+        """Whether the library is loaded into its process: for its outputs and services, or for its services alone."""
+        return self.preloads or self.gate == "lifecycle"
 
     @property
     def has_agent(self) -> bool:

@@ -112,7 +112,7 @@ def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         message = f"{name} states how its process is ended, but has no gate: it uses Midstride's API, and ends in order"
         help = "omit `stop`; `on_stop(…, timeout=…)` in its code says how long that may take"
         yield Problem(_CODE, (*path, "stop_seconds"), message, help)
-    elif component.stop is not None and not component.preloads:
+    elif component.stop is not None and not component.loads_library:
         for key, stated, usual, what in (
             ("drain", component.stop.drain, DEFAULT_STOP.drain, "answers requests that it has taken"),
             ("patience", component.stop.patience, DEFAULT_STOP.patience, "goes on with the goals of its ROS actions"),

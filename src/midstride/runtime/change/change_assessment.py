@@ -14,6 +14,7 @@ from midstride.plan.expected_losses import planned_instances, unmeasured_pair
 from midstride.plan.plan import Plan
 from midstride.runtime.change.lost_endpoints import endpoints_that_ended
 from midstride.runtime.change.planned_transfers import silences_for_state
+from midstride.runtime.change.successor_names import names_now
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
 from midstride.runtime.records.reports import Outcome, StepTime
@@ -44,6 +45,7 @@ def change_assessment(
             *_exchanged(plan, outcome),
             *silences_for_state(outcome, now),
             *endpoints_that_ended(plan, last_known, states, _together(plan, outcome)),
+            *names_now(plan, states, {time.step: time for time in outcome.steps if outcome.outcome == "done"}),
             *ended,
             *_others(plan, now),
             *_started(plan, now),

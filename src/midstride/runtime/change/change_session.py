@@ -57,6 +57,7 @@ from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.change.stalled_first import with_stalled_first
+from midstride.runtime.change.successor_names import names_after
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.runtime.handover.fences import DEFAULT_WAIT, hanging
 from midstride.runtime.records.change_report import ChangeTimeline
@@ -148,6 +149,7 @@ class ChangeSession:
         besides = (
             *lost_endpoints(plan, system.life.latest_states, self._endpoints()),
             *planned_transfers(plan, system.life.latest_states),
+            *names_after(plan, system.life.latest_states),
             *nodes_that_will_end(plan, others),
         )
         in_turn = answered_in_turn(plan, system.life.latest_states)

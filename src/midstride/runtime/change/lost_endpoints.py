@@ -104,8 +104,8 @@ def what_ended(
     """What ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
-    two nodes with the preloaded library, the successor goes on with each service and ROS action; where it has another
-    name, not with those below the old one. The old one goes on with the goals that it has accepted.
+    two nodes with the library in their processes, the successor goes on with each service and ROS action; where it has
+    another name, not with those below the old one. The old one goes on with the goals that it has accepted.
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
@@ -127,7 +127,7 @@ def what_ended(
             yield verdicts.management_unknown(name, state.starting, planned=planned)
         shared = [] if beside is None else shared_services(state)
         actions = [] if beside is None else shared_actions(state)
-        goes_on = [*shared, *actions] if beside is not None and component.preloads and beside.preloads else []
+        goes_on = [*shared, *actions] if _hands_over(state, component, beside) else []
         if shared and not goes_on and component.gate is not None:
             yield verdicts.answered_by_both(name, shared, planned=planned)
         if goes_on and actions and planned:
@@ -139,6 +139,14 @@ def what_ended(
         called += state.calls
     if called:
         yield verdicts.calls_end_with(name, called, planned=planned)
+
+
+def _hands_over(state: ComponentState, old: ComponentSpec, new: ComponentSpec | None) -> bool:
+    """Return whether the library hands over the requests of a node in ``state`` to its successor.
+
+    Where it is loaded for the services alone, a node runs also if its program is one that it has no effect on.
+    """
+    return new is not None and old.loads_library and new.loads_library and (old.preloads or state.keeps_name)
 
 
 def shared_services(state: ComponentState) -> list[str]:
@@ -164,14 +172,16 @@ def with_goals(states: Mapping[str, LatestState]) -> set[str]:
 
 
 def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:
-    """When the replacement of a node with the preloaded library begins to answer requests, in words.
+    """When the replacement of a node with the library in its process begins to answer requests, in words.
 
     ``states``: the last reports of the nodes that ``plan`` removes.
     """
     for old, new in plan.change.replaced.items():
         before, after = plan.change.component_of(old), plan.change.component_of(new)
         latest = states.get(old)
-        if latest is not None and before.preloads and after.preloads and (shared := shared_services(latest.state)):
+        if latest is None or not _hands_over(latest.state, before, after):
+            continue
+        if shared := shared_services(latest.state):
             drain = before.stop_times.drain
             yield (
                 f"{new} answers {verdicts.listed(shared)} once {old} has answered the requests that it has taken, "

@@ -73,7 +73,7 @@ def require_answering(configuration: Configuration, swap: Swap) -> None:
         if (own := next((name for name, each in components.items() if each.gate is None), None)) is not None:
             how = f"{own} uses Midstride's API, and the other one does not, {both}"
             raise StepFailed(f"{words}: {how}; use `--strategy paper`")
-        if (loose := next((name for name, each in components.items() if not each.preloads), None)) is not None:
+        if (loose := next((name for name, each in components.items() if not each.loads_library), None)) is not None:
             how = f"{loose} has `gate {components[loose].gate}`, {both}"
             raise StepFailed(f"{words}: {how}; use `gate preload`, or `--strategy paper`")
     if configuration.instances[old].role != configuration.instances[new].role:

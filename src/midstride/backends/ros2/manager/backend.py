@@ -35,6 +35,7 @@ from midstride.backends.ros2.manager import launching, process_nodes
 from midstride.backends.ros2.manager.addressed_services import AddressedServices
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
+from midstride.backends.ros2.manager.node_owner import node_owner
 from midstride.backends.ros2.manager.node_services import RosNodeServices
 from midstride.backends.ros2.manager.own_names import StartName, named
 from midstride.backends.ros2.manager.topic_listener import RosListener
@@ -179,17 +180,19 @@ class Ros2Backend(ProcessBackend, Backend):
                     launch,
                     launch.foreign,
                     lambda name: graph.has(name) or bool(graph.of_name(name)),
+                    lambda name: node_owner(graph, name, self._control),
                 )
             is_taken = start_name.passed and not start_name.shared and graph.has(start_name.full)
             if launch.foreign.gate != "relay" and start_name.full:
                 node = start_name.full
-        if (
-            launch.instance in self._processes
-            or await processes.listens(self.transport, launch.instance)
-            or is_taken
-            or await self._foreign(node, names.system_tag(launch.token))
-        ):
-            raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
+        taken_by = None
+        if launch.instance in self._processes or await processes.listens(self.transport, launch.instance):
+            taken_by = f"it is {launch.instance} of this system"
+        elif is_taken or await self._foreign(node, names.system_tag(launch.token)):
+            taken_by = node_owner(graph, node, self._control)
+        if taken_by is not None:
+            words = f"a node {node} is running already: {taken_by}; end it, or use another name"
+            raise StartFailed(f"{launch.instance}: {words}")
         graph.starts(own_name)
         if launch.foreign is None:
             if node in self._foreign_nodes.names:

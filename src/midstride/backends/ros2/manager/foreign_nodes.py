@@ -32,7 +32,7 @@ from midstride.foreign.graph_check import GraphEndpoint, Served, endpoints_secon
 from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.mode_parameters import typed
-from midstride.foreign.node import of_topics
+from midstride.foreign.node import of_services, of_topics
 from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
 from midstride.foreign.page import PAGE, Page, kept_results
 from midstride.foreign.record import ForeignRecord
@@ -101,17 +101,20 @@ class ForeignNodes:
         self._addressed = addressed
         self.tells_processes = False  # whether the graph tells which process an endpoint belongs to
 
-    def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
-        """Return what the node of the instance is called. Raises StartFailed.
+    def start_name(
+        self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool], owner: Callable[[str], str] = str
+    ) -> StartName:
+        """Return what the node of the instance is called; the arguments are as for :class:`OwnNames`.
 
-        A replacement of a node with a gate inside has its name, where that has one, too: one of them answers.
+        A replacement with the library in its process has the name of a node that has it, too: one of them answers.
+        Raises StartFailed.
         """
         old = self._agents.get(launch.predecessor)
-        if component.preloads and old is not None and self._can_share(old.node.record):
+        if component.loads_library and old is not None and self._can_share(old.node.record):
             shared = self._own_names.shared_name(old.node.record.node, launch, component)
             if shared is not None:
                 return shared
-        return self._own_names.start_name(launch, component, lambda node: runs(node) or self.runs(node))
+        return self._own_names.start_name(launch, component, lambda node: runs(node) or self.runs(node), owner)
 
     def _can_share(self, record: ForeignRecord) -> bool:
         """Return whether another node may have the name of this one: its library claims requests."""
@@ -146,11 +149,15 @@ class ForeignNodes:
         await asyncio.gather(*self._closing)  # the name may be that of one that has just ended
         topics, index, variables = topics_of(component, node, launch.topics), None, dict(environment)
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if component.preloads:
-            page, library = await self._opened(environment)
+        if (opened := await self._opened_for(component, environment)) is not None:
+            page, library = opened
             index = page.allocate(launch.instance)
             old = self._agents.get(launch.predecessor)
-            Gates(page, index, of_topics(component)).prepare(topics, None if old is None else old.node.record.index)
+            before = None if old is None else old.node.record.index
+            if component.preloads:
+                Gates(page, index, of_topics(component)).prepare(topics, before)
+            else:
+                Gates(page, index, of_services(component)).prepare_requests(before)
             preloaded = environment.get("LD_PRELOAD", "")
             variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
             variables |= {ENV_PAGE: str(page.path.absolute()), ENV_NODE: str(index)}
@@ -229,7 +236,7 @@ class ForeignNodes:
             launch = replaced(launch, topics=topics)
         path, variables = parameter_file(self._folder.absolute(), launch.instance), dict(environment)
         text = parameters_text(launch.sections, name.full or ALL, self._values(launch, component, name))
-        if component.preloads:
+        if component.preloads or (component.loads_library and build.is_available(environment)):
             preloaded, library = environment.get("LD_PRELOAD", ""), build.library_path(environment)
             variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
             variables |= {ENV_PAGE: str((self._folder / PAGE).absolute()), ENV_NODE: GIVEN_AT_THE_START}
@@ -279,6 +286,15 @@ class ForeignNodes:
             return
         self._relays(instance, order)
         self._unfound.discard(instance)
+
+    async def _opened_for(self, component: ComponentSpec, environment: Mapping[str, str]) -> tuple[Page, Path] | None:
+        """The page and the library of the process of a ``component``; None where it has none. Raises BackendError.
+
+        A node of which only the services need the library goes without it where it cannot be compiled.
+        """
+        if component.preloads or (component.loads_library and build.is_available(environment)):
+            return await self._opened(environment)
+        return None
 
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)
@@ -369,6 +385,8 @@ class ForeignNodes:
             return AskedProcess(instance)
         record = agent.node.record
         listed = None if record.index is None or self._page is None else self._page.ros_nodes(record.index)
+        if not record.declaration.declared().preloads:
+            listed = listed or None  # its program may be one that the library is not loaded into
         return AskedProcess(instance, record.node, listed, mark=self._mark(record))
 
     async def adopt(self, instance: str) -> None:
@@ -385,9 +403,11 @@ class ForeignNodes:
             self._relays(instance, RelayOrder.read(order_file(self._folder, instance)))
 
     async def _answer(self, record: ForeignRecord) -> None:
-        gates = None
+        gates, requests, component = None, None, record.declaration.declared()
         if record.index is not None and self._page is not None:
-            gates = Gates(self._page, record.index, of_topics(record.declaration.declared()))
+            requests = Gates(self._page, record.index, of_services(component))
+            if component.preloads:
+                gates = requests = Gates(self._page, record.index, of_topics(component))
         self.names.add(record.node)
         old = self._agents.get(record.replaces)
         before = None
@@ -407,6 +427,7 @@ class ForeignNodes:
             predecessor=self._services_of_predecessor(record, old) if follows else None,
             managers=self._managers,
             states=self._states,
+            requests=requests,
         )
         agent.node.keeps_name = lambda: self._can_share(record)
         self._agents[record.instance] = agent

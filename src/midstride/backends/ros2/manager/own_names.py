@@ -78,16 +78,20 @@ class OwnNames:
         except OSError as error:
             raise BackendError(f"{self._path} cannot be written: {error.strerror or error}") from None
 
-    def start_name(self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool]) -> StartName:
-        """Return what the node of an instance is called. ``runs``: whether a node of that full name is in the graph.
+    def start_name(
+        self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool], owner: Callable[[str], str]
+    ) -> StartName:
+        """Return what the node of an instance is called.
 
-        Where nothing that it replaces has that name, it is the role's (`gate preload`), or that of the instance. A
-        replacement gets another number than its instance has where a node outside the system has that name. Raises
-        StartFailed.
+        ``runs``: whether a node of that full name is in the graph; ``owner``: whose it is, in words.
+
+        It is the role's where no node has that name, as after a crash, or where the old one has ended first; else, and
+        behind a relay, that of the instance. A replacement gets another number than its instance has where a node
+        outside the system has that name. Raises StartFailed.
         """
         if not component.unnamed:
             role = full_name(launch.role or launch.instance, launch.namespace)
-            if component.preloads and not runs(role):  # as after a crash
+            if component.gate != "relay" and not runs(role):
                 return named(role, component)
             name = launch.instance
             if name != launch.role and runs(full_name(name, launch.namespace)):
@@ -99,7 +103,8 @@ class OwnNames:
             return StartName(own, passed=False)
         number = launch.instance.removeprefix(launch.role)
         if not number:
-            raise StartFailed(f"{launch.instance}: a node {own} is running already; end it, or name the node")
+            words = f"a node {own} is running already: {owner(own)}; end it, or name the node"
+            raise StartFailed(f"{launch.instance}: {words}")
         name, namespace = split_name(own)
         return StartName(full_name(name + number, namespace), original=own)
 
