@@ -185,7 +185,8 @@ def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
         async with rig(tmp_path) as r:
             with Bare("talker") as bare:
                 await bare.until(lambda: "/talker" in graph_names(r))
-                with pytest.raises(StartFailed, match=r"a node /talker is running already"):
+                whose = rf"a node /talker is running already: it is process {os.getpid()} \(`.*`\); end it"
+                with pytest.raises(StartFailed, match=whose):
                     await r.launch("talker", TALKER)
             await until(lambda: "/talker" not in graph_names(r))
             await r.start("talker", TALKER)

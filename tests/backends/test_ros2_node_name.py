@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import re
 import subprocess
 import sys
 import time
@@ -133,19 +135,20 @@ def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(t
                     middleware.of_this_process().name_delay
                 )  # of two that join together, either may give way
                 with Bare("counter"):
-                    await refused_soon(r)
+                    await refused_soon(r, f"it is process {os.getpid()} ")
             else:
                 await other.start("counter_3", COUNTING, node="counter")
                 await until_async(lambda: r.shows_node("/counter_3"))
-                await refused_soon(r)
+                whose = f"it is counter_3 of the Midstride system theirs ({tmp_path / 'theirs'}), process "
+                await refused_soon(r, whose)
 
     run(scenario())
 
 
-async def refused_soon(r: Rig) -> None:
-    """A replacement is not started once the foreign node is in the graph."""
+async def refused_soon(r: Rig, whose: str) -> None:
+    """A replacement is not started once the foreign node is in the graph; the message says ``whose`` it is."""
     await until_async(lambda: r.backend._foreign("/counter", names.system_tag(r.token)))
-    with pytest.raises(StartFailed, match=r"counter_2: a node /counter is running already"):
+    with pytest.raises(StartFailed, match=re.escape(f"counter_2: a node /counter is running already: {whose}")):
         await r.launch("counter_2", COUNTING, node="counter", standby=True)
 
 
