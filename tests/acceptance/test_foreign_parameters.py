@@ -1,12 +1,13 @@
-"""Two nodes in plain rclpy: their parameters are set by ROS's own service and by Midstride, and kept or set back.
+"""Three nodes in plain rclpy: their parameters are set by ROS's own service and by Midstride, and kept or set back.
 
-One of them has the library preloaded, and the other is behind a relay.
+One of them is behind a relay, and the others have the library preloaded.
 """
 
 from __future__ import annotations
 
 import asyncio
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -20,9 +21,10 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
+from midstride.verdicts import seconds_in_words
 from tests.acceptance.support import ended
 from tests.acceptance.test_parameters import set_by_a_client
-from tests.backends.ros2_support import Bare, run
+from tests.backends.ros2_support import Bare, run, until_async
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
@@ -30,6 +32,7 @@ pytestmark = [pytest.mark.ros2, pytest.mark.full]
 PROGRAM = """
 import itertools
 import rclpy
+from pathlib import Path
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -43,6 +46,7 @@ node.declare_parameter("gain", 0.1)
 node.declare_parameter("weights", [0.5, 0.25])
 node.declare_parameter("later", Parameter.Type.STRING)  # it has no value yet
 node.declare_parameter("frame", "base", ParameterDescriptor(read_only=True))
+node.declare_parameter("offset", 0.0)
 out = node.create_publisher(String, "cmd", 10)
 count = itertools.count()
 
@@ -57,6 +61,12 @@ def drive():
 
 node.add_on_set_parameters_callback(check)
 node.create_timer(0.05, drive)
+
+def calibrate():  # once it is known what it started with, it sets a parameter itself
+    if Path("calibrate").exists() and node.get_parameter("offset").value == 0.0:
+        node.set_parameters([Parameter("offset", value=0.5)])
+
+node.create_timer(0.2, calibrate)
 try:
     rclpy.spin(node)
 except (KeyboardInterrupt, ExternalShutdownException):
@@ -66,6 +76,7 @@ TEXT = """system drive
 
 topic /left  : std_msgs/msg/String @ 10 Hz
 topic /right : std_msgs/msg/String @ 10 Hz
+topic /third : std_msgs/msg/String @ 10 Hz
 
 component Driver {
   run "PYTHON node.py" gate preload
@@ -81,11 +92,12 @@ component Driver {
 component Relayed like Driver { run "PYTHON node.py" gate relay }
 
 node left  : Driver  { cmd -> /left }
+node third : Driver  { cmd -> /third }
 node right : Relayed { cmd -> /right   parameters { speed = 2.0 } }
 
 timing { watch_after 2 s }
 """
-KEPT = {("gain", "kept", "unknown"), ("speed", "kept", "set")}
+KEPT = {("gain", "kept", "unknown"), ("offset", "kept", "unknown"), ("speed", "kept", "set")}
 
 
 def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> None:
@@ -123,6 +135,15 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             assert [(each.value, each.origin) for each in report.parameters if each.name == "gain"] == [
                 (0.25, "unknown")
             ]
+            # What a node sets itself is told from that as long as nothing has asked it to set anything.
+            (tmp_path / "calibrate").touch()
+
+            async def sets_its_own(role: str, origin: str) -> bool:
+                (report,) = await manager.parameters(role)
+                return (0.5, origin) in [(each.value, each.origin) for each in report.parameters]
+
+            for role, origin in (("third", "node"), ("left", "unknown"), ("right", "unknown")):
+                await until_async(partial(sets_its_own, role, origin))
             await manager.set_parameters("left", {"speed": 2, "weights": []})
             with pytest.raises(CommandRefused, match=r"left refuses speed = 6\.0: it is too fast"):
                 await manager.set_parameters("left", {"speed": 6.0})
@@ -137,26 +158,36 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             with pytest.raises(CommandRefused, match=r"right refuses frame = 'odom': .*read-only"):
                 await manager.set_parameters("right", {"frame": "odom"})
 
-            # One of two nodes refuses, and then one breaks its rate.
-            before = [{"speed": 2.0, "gain": 0.25, "frame": "base"}, {"speed": 2.0, "gain": 0.75, "frame": "base"}]
+            # One of three nodes refuses, and then one breaks its rate.
+            had = ((2.0, 0.25), (2.0, 0.75), (1.0, 0.1))
+            before = [{"speed": speed, "gain": gain, "frame": "base"} for speed, gain in had]
             for speed, because, fate in (
                 (6.0, "right refuses speed = 6.0: it is too fast", "not_set"),
                 (4.0, "right.cmd does not keep the 10 Hz that its mode guarantees", "set_back"),
             ):
-                outcome = await carried_out(setting(left={"gain": 0.5, "speed": 3}, right={"speed": speed}))
+                values_of_three = {"left": {"gain": 0.5, "speed": 3}, "third": {"speed": 3}, "right": {"speed": speed}}
+                outcome = await carried_out(setting(**values_of_three))
                 assert outcome.outcome == "rolled_back" and because in str(outcome.because), outcome.because
-                assert [await values("left"), await values("right")] == before
-                fates = {(each.node, each.parameter): each.fate for each in outcome.parameters}
-                assert fates == {("left", "gain"): "set_back", ("left", "speed"): "set_back", ("right", "speed"): fate}
+                assert [await values(role) for role in ("left", "right", "third")] == before
+                found = {(each.node, each.parameter): each for each in outcome.parameters}
+                back = [("left", "gain"), ("left", "speed"), ("third", "speed")]
+                assert {key: each.fate for key, each in found.items()} == {
+                    **dict.fromkeys(back, "set_back"),
+                    ("right", "speed"): fate,
+                }
+                for key in back:  # for how long it had the value
+                    assert 0 < float(found[key].seconds or 0) < outcome.seconds
+                    assert seconds_in_words(float(found[key].seconds or 0)) in found[key].words
             outcome = await carried_out(setting(left={"speed": 3}, right={"speed": 3}))
             assert (outcome.outcome, outcome.because) == ("done", None)
 
             # What was set travels, also what a tool has set.
-            outcome = await carried_out(PlanRequest(restart=("left", "right")))
+            outcome = await carried_out(PlanRequest(restart=("left", "right", "third")))
             assert (outcome.outcome, outcome.because) == ("done", None)
             assert {(each.node, each.parameter, each.fate, each.origin) for each in outcome.parameters} == {
                 *((role, *fate) for role in ("left", "right") for fate in KEPT),
                 ("left", "weights", "kept", "set"),
+                ("third", "offset", "kept", "node"),
             }
             assert await values("left") == {"speed": 3.0, "gain": 0.25, "frame": "base"}
             assert await values("right") == {"speed": 3.0, "gain": 0.75, "frame": "base"}
@@ -170,7 +201,7 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             outcome = await carried_out(PlanRequest(to=target))
             assert (outcome.outcome, outcome.because) == ("done", None)
             assert [(await values(role))["speed"] for role in ("left", "right")] == [1.5, 2.5]
-            assert {*manager.configuration.instances} == {"left_2", "right_2"}
+            assert {*manager.configuration.instances} == {"left_2", "right_2", "third_2"}
 
     with ended():
         run(scenario())

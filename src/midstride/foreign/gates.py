@@ -197,6 +197,14 @@ class Gates:
             if index is not None:
                 self.page.ring(index)
 
+    def asked(self, service: str) -> bool | None:
+        """Return whether this node has taken a request to the service of that full name; None if it has no such.
+
+        Those of the manager to this node alone do not count.
+        """
+        port = self.page.servers(self.index).get(service)
+        return None if port is None else bool(port.passed)
+
     def has_clients_of(self, other: int) -> bool:
         """Return whether each service that the node ``other`` has, too, shows as many clients to this one."""
         theirs = self.page.servers(other)

@@ -36,6 +36,8 @@ from midstride.wire.state import (
 TICK: Final = 0.005
 # How often an agent looks whether a baton has moved, or a lifecycle node has left its state (s).
 WATCH: Final = 0.05
+# The services by which any program sets parameters of a node.
+SETTING: Final = ("set_parameters", "set_parameters_atomically")
 # The shortest interval between two counts from which a rate is computed (s).
 SAMPLE: Final = 0.2
 
@@ -160,6 +162,7 @@ class ForeignNode:
 
     def state(self) -> ComponentState:
         record = self.record
+        unknown = [name for name in self.declared if name not in record.requested]
         functionalities = {
             name: FunctionalityState(
                 mode=mode,
@@ -195,11 +198,18 @@ class ForeignNode:
             imported=1,
             host=THIS_HOST,
             unread_parameters=self.unread_parameters,
-            unknown_origin=[name for name in self.declared if name not in record.requested],
+            unknown_origin=unknown,
+            own_values=[name for name in unknown if self._sets_its_own and name not in record.taken_over],
             simulated_time=record.simulated_time,
             clock_speed=self.others.speed if record.simulated_time else 1.0,
             unfinished=self.unfinished,
         )
+
+    @property
+    def _sets_its_own(self) -> bool:
+        """Return whether no other program has asked the node to set parameters since its start."""
+        services = (f"{self.record.node}/{name}" for name in SETTING)
+        return self.requests is not None and all(self.requests.asked(name) is False for name in services)
 
     @property
     def answers(self) -> bool:

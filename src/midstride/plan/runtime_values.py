@@ -6,9 +6,10 @@ wins. Pure: the runtime says which values were set, and does what is decided her
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from typing import Annotated, ClassVar, Literal, TypeAlias
+from collections.abc import Iterator, Mapping
+from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 
+from immutables import Map
 from msgspec import UNSET, UnsetType
 
 from midstride.codec.form import Form, field
@@ -38,7 +39,14 @@ Fate: TypeAlias = Literal[
     "not_set",
     "not_set_back",
 ]
-Origin: TypeAlias = Literal["set", "unknown"]
+Origin: TypeAlias = Literal["set", "unknown", "node"]
+_NONE: Final[Mapping[str, Origin]] = Map()
+# How a value was set, in words.
+SET_BY: Final[Mapping[Origin, str]] = {
+    "set": "set at run time",
+    "unknown": "set at run time by a ROS tool, or by the node itself",
+    "node": "set at run time by the node itself",
+}
 
 
 class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_unknown_fields=False):
@@ -53,7 +61,8 @@ class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_
     node had the value for `seconds`; `not_set_back`: it has it still. `not_set`: it has not accepted it.
 
     `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known
-    to have been set: a ROS tool has set it, or the node itself.
+    to have been set: a ROS tool has set it, or the node itself. `node`: the node itself has, as nothing has asked it to
+    set parameters.
     """
 
     what: ClassVar[str] = "a parameter value"
@@ -74,18 +83,17 @@ def decide(
     values: Values,
     *,
     keep: bool = True,
-    unknown: Collection[str] = (),
+    unknown: Mapping[str, Origin] = _NONE,
 ) -> tuple[RuntimeValue, ...]:
     """What becomes of the ``values`` of a role, set while it ran, when its node changes from ``before`` to ``after``.
 
     Values that the target declares anyway are left out. Without ``keep``, the target's values are used. ``unknown``:
-    the parameters of which it is not known whether a tool has set them, or the node itself.
+    the parameters of which it is not known that they were set by a request, with what is known of them.
     Raises PlanRefused where a value that would travel is of a type that the new component does not take.
     """
     decided = _decisions(before, after, role, values, keep)
     return tuple(
-        runtime_value(role, name, values[name], fate, words, "unknown" if name in unknown else "set")
-        for name, fate, words in decided
+        runtime_value(role, name, values[name], fate, words, unknown.get(name, "set")) for name, fate, words in decided
     )
 
 
@@ -142,7 +150,7 @@ def of_change(
     values: Mapping[str, Values],
     *,
     keep: bool = True,
-    unknown: Mapping[str, Collection[str]] | None = None,
+    unknown: Mapping[str, Mapping[str, Origin]] | None = None,
 ) -> tuple[RuntimeValue, ...]:
     """What becomes of the ``values`` (by role) in a change: those of roles that get a new instance or are set in place.
 
@@ -155,7 +163,7 @@ def of_change(
         concerned[role] = {name: value for name, value in values.get(role, {}).items() if name in parameters}
     roles = sorted(role for role in concerned if role in change.specification.nodes)
     decided = (
-        decide(change.specification, change.target, role, concerned[role], keep=keep, unknown=unsure.get(role, ()))
+        decide(change.specification, change.target, role, concerned[role], keep=keep, unknown=unsure.get(role, _NONE))
         for role in roles
     )
     return tuple(value for each in decided for value in each)
@@ -183,6 +191,5 @@ def runtime_value(
     role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str, origin: Origin = "set"
 ) -> RuntimeValue:
     """What becomes of one value; ``fate_words`` is the same for people."""
-    set_by = "set at run time" if origin == "set" else "set at run time by a ROS tool, or by the node itself"
-    words = f"{role}: {name} = {value!r}, {set_by}: {fate_words}"
+    words = f"{role}: {name} = {value!r}, {SET_BY[origin]}: {fate_words}"
     return RuntimeValue(node=role, parameter=name, value=json_value(value), fate=fate, origin=origin, words=words)

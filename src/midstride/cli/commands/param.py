@@ -227,8 +227,8 @@ def _component(status: Status, node: str) -> InstanceStatus:
 
 def _line(parameter: ParameterStatus) -> str:
     from midstride.codec.parameter import from_json
+    from midstride.plan.runtime_values import SET_BY
 
-    by = " by a ROS tool, or by the node itself" if parameter.origin else ""
     started = f" (started with {from_json(parameter.declared)!r})"
-    started = f", set at run time{by}{started}" if parameter.set_at_run_time else ""
+    started = f", {SET_BY[parameter.origin or 'set']}{started}" if parameter.set_at_run_time else ""
     return f"{parameter.name} = {from_json(parameter.value)!r}{started}"

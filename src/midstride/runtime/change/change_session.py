@@ -30,7 +30,7 @@ from midstride.plan.goals_in_progress import with_time_for_goals
 from midstride.plan.overlap import overlap
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
-from midstride.plan.runtime_values import Values, of_change
+from midstride.plan.runtime_values import Origin, Values, of_change
 from midstride.plan.sensitivity import sensitivity
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
@@ -489,7 +489,7 @@ def _plan(
     measured: Mapping[str, Estimate],
     orders: Sequence[Order] = (),
     away: Collection[str] = (),
-    unknown: Mapping[str, Collection[str]] | None = None,
+    unknown: Mapping[str, Mapping[str, Origin]] | None = None,
     said: Mapping[str, Values] | None = None,
 ) -> tuple[Plan, Specification]:
     """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first.

@@ -6,10 +6,12 @@ before the cut and when the old one ends: any ROS tool may set a parameter meanw
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
+
+from immutables import Map
 
 from midstride.codec.parameter import from_json, json_values
 from midstride.errors import CommandRefused, MidstrideError, PlanRefused, StepFailed
@@ -33,6 +35,7 @@ def unread_parameters(instance: Instance, state: ComponentState | None) -> str |
     return f"whether parameters of {instance.name} were set {when} is not known, since {why}; what was set is lost"
 
 
+_NONE: Final[Mapping[str, Origin]] = Map()
 # What a change reports of values also where it was rolled back.
 _OF_A_ROLLED_BACK_CHANGE: Final = ("late", "set_back", "not_set", "not_set_back")
 
@@ -100,17 +103,17 @@ class ParameterTransfer:
         # rcl reads an empty list in a parameter file as no value: it is set once the instance has started.
         return {name: value for name, value in given.items() if value not in ([], ())}
 
-    def _unknown(self, instance: Instance, values: Collection[str]) -> Collection[str]:
+    def _unknown(self, instance: Instance, values: Collection[str]) -> Mapping[str, Origin]:
         """Of the ``values`` that ``instance`` starts with, those of unknown origin; after a crash, that is not kept."""
         if (old := self._predecessors.get(instance.name)) is not None:
             return self.reported.unknown_of(old)
-        return values if instance.component.gate is not None else ()
+        return dict.fromkeys(values, "unknown") if instance.component.gate is not None else {}
 
     def _returns(self, instance: Instance) -> bool:
         """Whether it ran at the start: it is started again, or goes on, in a roll-back."""
         return instance.name in self.change.start.instances
 
-    def _kept(self, instance: Instance, values: Values, unknown: Collection[str] = ()) -> dict[str, Any]:
+    def _kept(self, instance: Instance, values: Values, unknown: Mapping[str, Origin] = _NONE) -> dict[str, Any]:
         """Those of ``values``, of its predecessor, that ``instance`` is to have; what becomes of each is recorded."""
         before, after = self.change.specification, self.change.target
         if instance.role not in before.nodes:
@@ -140,13 +143,15 @@ class ParameterTransfer:
             with suppress(MidstrideError):
                 self.reported.report(await self.client.peek(instance))
 
-    async def _set(self, instance: Instance, name: str, value: ParameterValue, unknown: Collection[str] = ()) -> None:
+    async def _set(
+        self, instance: Instance, name: str, value: ParameterValue, unknown: Mapping[str, Origin] = _NONE
+    ) -> None:
         """One value, so that a refusal is about it. Raises StepFailed, or BackendError.
 
         That the new one refuses what the old node itself may have set (``unknown``) is no failure. One that does not
         say which parameters it has was started with the value.
         """
-        origin: Origin = "unknown" if name in unknown else "set"
+        origin = unknown.get(name, "set")
         state = await self.client.peek(instance.name)
         if state.unread_parameters and name in self._given.get(instance.name, {}):
             return
@@ -156,7 +161,7 @@ class ParameterTransfer:
             self._record(left_behind(instance.role, name, value, instance.component.name, origin))
             return
         command = SetParametersCommand(
-            parameters=json_values({name: value}), declared={}, unknown_origin=[name] if origin == "unknown" else []
+            parameters=json_values({name: value}), declared={}, unknown_origin=[] if origin == "set" else [name]
         )
         try:
             await self.client.change(instance.name, command)
@@ -236,6 +241,6 @@ class ParameterTransfer:
                 if not late:
                     raise
                 words = f"too late, after the hand-over: {error}"
-                origin: Origin = "unknown" if name in unknown else "set"
+                origin = unknown.get(name, "set")
                 self._record(runtime_value(new.role, name, value, "late", words, origin))
         self._carried[new.name] = self.reported.of(new.name)

@@ -7,7 +7,7 @@ the change is rolled back as a whole (docs/semantics.md section 6).
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,7 +15,7 @@ from midstride.codec.parameter import json_values
 from midstride.errors import StepFailed
 from midstride.model.configuration import Configuration
 from midstride.model.specification import FEWEST_PERIODS
-from midstride.plan.runtime_values import Values
+from midstride.plan.runtime_values import Origin, Values
 from midstride.runtime.handover.probation import WatchedOutput, watch_after
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
@@ -52,7 +52,7 @@ class Setting:
     role: str
     since: float
     values: Values
-    unknown: Collection[str]
+    unknown: Mapping[str, Origin]
     outputs: tuple[WatchedOutput, ...]
 
     @classmethod

@@ -127,14 +127,15 @@ class ProgramStatus(Report, frozen=True, kw_only=True):
 class ParameterStatus(Report, frozen=True):
     """A parameter of a component. Where it was set at run time, `declared` is the value that it was started with.
 
-    `origin`: `unknown` where a ROS tool has set it, or the node itself; absent otherwise.
+    `origin`: `unknown` where a ROS tool has set it, or the node itself; `node` where it is known that the node itself
+    has, as nothing has asked it to set parameters; absent otherwise.
     """
 
     name: str
     value: ValueForm
     declared: ValueForm
     set_at_run_time: bool
-    origin: Literal["unknown"] | UnsetType = UNSET
+    origin: Literal["unknown", "node"] | UnsetType = UNSET
 
 
 class ParametersReport(Report, frozen=True):

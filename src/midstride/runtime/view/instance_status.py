@@ -160,7 +160,7 @@ def parameters(state: ComponentState) -> list[ParameterStatus]:
             value,
             state.declared.get(name, value),
             name in state.declared,
-            "unknown" if name in state.unknown_origin else UNSET,
+            "node" if name in state.own_values else "unknown" if name in state.unknown_origin else UNSET,
         )
         for name, value in sorted(state.parameters.items())
     ]

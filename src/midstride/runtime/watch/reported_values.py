@@ -6,11 +6,11 @@ the state store, to the next manager (docs/protocols/state.md).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from midstride.model.configuration import Configuration
-from midstride.plan.runtime_values import Values
+from midstride.plan.runtime_values import Origin, Values
 from midstride.wire.state import ComponentState
 
 _NONE: Values = {}
@@ -23,12 +23,14 @@ class ReportedValues:
     saved: dict[str, Values] = field(default_factory=dict)
     _of_instance: dict[str, Values] = field(default_factory=dict)
     _put_back: dict[str, Values] = field(default_factory=dict)  # by role, until they are saved
-    _unknown: dict[str, Collection[str]] = field(default_factory=dict)  # by instance
+    _unknown: dict[str, Mapping[str, Origin]] = field(default_factory=dict)  # by instance
 
     def report(self, state: ComponentState) -> bool:
         """A component has reported its state; whether its values are others than before."""
         before = self._of_instance.get(state.instance, _NONE)
-        self._unknown[state.instance] = frozenset(state.unknown_origin)
+        self._unknown[state.instance] = {
+            name: "node" if name in state.own_values else "unknown" for name in state.unknown_origin
+        }
         self._of_instance[state.instance] = after = state.set_values()
         return before != after
 
@@ -36,11 +38,11 @@ class ReportedValues:
         """The last known values of an instance, also if it has ended meanwhile."""
         return self._of_instance.get(instance, _NONE)
 
-    def unknown_of(self, instance: str) -> Collection[str]:
-        """The parameters of an instance of which it is not known whether a tool has set them, or the node itself."""
-        return self._unknown.get(instance, ())
+    def unknown_of(self, instance: str) -> Mapping[str, Origin]:
+        """The parameters of an instance that are not known to have been set by a request, with what is known."""
+        return self._unknown.get(instance, {})
 
-    def unknown_by_role(self, configuration: Configuration) -> dict[str, Collection[str]]:
+    def unknown_by_role(self, configuration: Configuration) -> dict[str, Mapping[str, Origin]]:
         """The same for the live instance of each role."""
         return {
             role: self.unknown_of(next(iter(names)))
