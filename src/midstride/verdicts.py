@@ -354,10 +354,15 @@ def unknown_others(instance: str, because: str) -> Assessment:
     return Assessment(instance, "not_measurable", f"which other nodes end with {instance}: {because}")
 
 
-def two_writers(role: str, topics: Sequence[str], seconds: float | None = None) -> Assessment:
-    """Both instances of a role write to topics that no port states, while both run (``seconds``, once measured)."""
+def two_writers(
+    role: str, topics: Sequence[str], seconds: float | None = None, *, publishes: bool = True
+) -> Assessment:
+    """Both instances of a role write to topics that no port states, while both run (``seconds``, once measured).
+
+    ``publishes``: the old one is known to publish there; False: or it subscribes.
+    """
     time = "while both instances run" if seconds is None else f"for up to {seconds_in_words(seconds)}"
-    verb = "write" if seconds is None else "could write"
+    verb = "could write" if seconds is not None else "write" if publishes else "may write"
     words = f"which instance writes on {listed(topics)}: no port of {role} states it, so both {verb} there {time}"
     return Assessment(role, "not_measurable", words)
 

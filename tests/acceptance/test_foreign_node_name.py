@@ -5,16 +5,23 @@ MIDSTRIDE_NAME_REPLACEMENTS says how many replacements the long test makes, wher
 
 from __future__ import annotations
 
+import asyncio
 import os
+import sys
 from pathlib import Path
 
 import pytest
 
+from midstride import backends
 from midstride.lang.load import load
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
 from tests.acceptance.foreign_support import Robot, declared_talker, robot
 from tests.acceptance.serving import CLIENTS, LIFECYCLE_SERVER, called
 from tests.acceptance.support import ended
-from tests.backends.ros2_support import run
+from tests.acceptance.test_manager_killed import kill_the_manager
+from tests.acceptance.test_parameters import set_by_a_client
+from tests.backends.ros2_support import Bare, run
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
@@ -97,6 +104,50 @@ def test_one_client_sets_the_parameters_of_a_node_across_replacements(tmp_path: 
 @pytest.mark.long
 def test_one_client_sets_the_parameters_of_a_node_across_many_replacements(tmp_path: Path) -> None:
     kept_across(tmp_path, REPLACEMENTS)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_the_next_manager_finds_which_of_two_nodes_of_a_name_is_which(tmp_path: Path) -> None:
+    """A manager is killed at the change-over, while both run; the next one addresses the node of each instance."""
+    (tmp_path / "source.py").write_text(MAPPER, encoding="utf-8")
+    text = "system killed\ntopic /swap : std_msgs/msg/String @ 50 Hz\n"
+    for name in ("Source", "OtherSource"):
+        text += declared_talker(name, f"{sys.executable} {tmp_path / 'source.py'}", "preload")
+    (tmp_path / "killed.stride").write_text(f"{text}node source : Source {{ out -> /swap }}\n", encoding="utf-8")
+    specification, system = load(tmp_path / "killed.stride").require(), tmp_path / "system"
+    system.mkdir()
+
+    def manager_of_it() -> Manager:
+        workspace = Workspace(system)
+        return Manager(specification, backends.make("ros2", workspace), workspace, tmp_path)
+
+    def last_set() -> list[str]:
+        return (tmp_path / "set").read_text(encoding="utf-8").splitlines()[-1].split()
+
+    async def scenario() -> None:
+        manager = manager_of_it()
+        await manager.up()
+        with Bare("tool") as bare:
+            for value, point in enumerate((("answer", "before"), ("answer", "after"), ("cut_in", "after")), start=1):
+                await manager.close()
+                await asyncio.to_thread(kill_the_manager, system, point[0], "1", point[1])
+                # One of the two answers; which instance that is, the next manager finds.
+                assert await set_by_a_client(bare, "/source", "resolution", float(value)) == (True, "")
+                manager = manager_of_it()
+                await manager.up()
+                (report,) = await manager.parameters("source")
+                values = {each.name: each.value for each in report.parameters}
+                assert values["resolution"] == float(value), f"killed {point}: {report}"
+                await manager.set_parameters("source", {"resolution": value + 0.5})
+                assert last_set() == [str(value + 0.5), report.instance], f"killed {point}"
+                await bare.until(lambda: bare.node.get_node_names().count("source") == 1, 60)
+                assert (await manager.status()).valid
+        await manager.down()
+        await manager.close()
+
+    with ended():
+        run(scenario(), 280)
 
 
 def test_a_lifecycle_node_without_gates_keeps_its_name_and_hands_its_requests_over(tmp_path: Path) -> None:

@@ -9,17 +9,24 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.lang.load import load_text
+from midstride.model.action import Create, Remove
 from midstride.model.component import ComponentSpec, Gate, NodeEndpoint
 from midstride.model.specification import initial
 from midstride.plan.change_builder import change_between
+from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
-from midstride.plan.strategies.registry import planner
+from midstride.plan.strategies.registry import STRATEGIES, planner
 from midstride.runtime.change.lost_endpoints import _as_planned, two_writers, unseen_endpoints, what_ended
+from midstride.runtime.change.successor_names import names_after, names_now
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.manager import Manager
 from midstride.runtime.process.launcher import LastKnown
+from midstride.runtime.records.reports import StepTime
 from midstride.verdicts import Assessments
 from midstride.wire.state import Endpoint, UndeclaredTopic
+from tests.acceptance.foreign_support import declared_talker
+from tests.plan.cases import replacing
 from tests.runtime.systems import example, managed
 from tests.wire.bare_state import bare_state
 
@@ -75,9 +82,9 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() ->
     def said(**seen: Any) -> list[str]:
         state = bare_state("talker", node="/talker", **seen)
         component = ComponentSpec.of("Talker", gate="preload")
-        latest = LatestState(state, 0.0)
-        found = what_ended("talker", component, LastKnown(latest), planned=True)
-        both = two_writers("talker", latest, component, component)
+        known = LastKnown(LatestState(state, 0.0))
+        found = what_ended("talker", component, known, planned=True)
+        both = two_writers("talker", known, component, component)
         return [each.words for each in (*found, *both)]
 
     assert said() == []
@@ -130,9 +137,9 @@ def test_a_topic_that_is_handed_over_has_one_writer(old: Gate, new: Gate, named:
         UndeclaredTopic(output=True, topic="/tf", type="x", handed_over=True),
         UndeclaredTopic(output=True, topic="/diagnostics", type="x"),
     ]
-    latest = LatestState(bare_state("talker", node="/talker", undeclared=undeclared), 0.0)
+    known = LastKnown(LatestState(bare_state("talker", node="/talker", undeclared=undeclared), 0.0))
     before, after = (ComponentSpec.of("Talker", run="talker", gate=gate) for gate in (old, new))
-    (said,) = two_writers("talker", latest, before, after)
+    (said,) = two_writers("talker", known, before, after)
     assert [topic for topic in ("/tf", "/diagnostics") if topic in said.words] == named
 
 
@@ -185,7 +192,7 @@ def test_both_write_on_a_private_topic_where_they_have_one_name() -> None:
 
     def shared(*, keeps_name: bool) -> list[str]:
         state = bare_state("talker", node="/talker", undeclared=undeclared, keeps_name=keeps_name)
-        return [each.words for each in two_writers("talker", LatestState(state, 0.0), component, component)]
+        return [each.words for each in two_writers("talker", LastKnown(LatestState(state, 0.0)), component, component)]
 
     assert shared(keeps_name=False) == []
     (words,) = shared(keeps_name=True)
@@ -205,3 +212,57 @@ def test_between_the_api_and_a_node_without_it_both_answer() -> None:
     assert "mapper and its replacement answered service /reset while both run" in found.words
     (found,) = what_ended("mapper", relayed, LastKnown(None, ()), planned=True, beside=relayed)
     assert "each of the two answers the services that both have" in found.words
+
+
+def test_a_component_with_the_api_may_write_on_its_topics_beside_a_node_without_it() -> None:
+    """A component without ports for them has said which topics it has, and not which of them it writes on."""
+    own, plain = ComponentSpec.of("Own", run="mapper"), ComponentSpec.of("Plain", run="mapper", gate="preload")
+    known = LastKnown(None, GOALS)
+    (found,) = two_writers("mapper", known, own, plain)
+    assert "no port of mapper states it, so both may write there while both instances run" in found.words
+    assert "/diagnostics" in found.words and "/dock" not in found.words
+    (found,) = two_writers("mapper", known, own, plain, 1.5)
+    assert "so both could write there for up to 1.50 s" in found.words
+    assert not list(two_writers("mapper", known, own, own))
+
+
+def exchange(old: Gate, new: Gate, *, old_first: bool) -> Plan:
+    """A plan that exchanges a node with a port, in 1.5 s for each of its two steps that matter here."""
+    text = "system s\ntopic /map : std_msgs/msg/String @ 1 Hz\n"
+    text += declared_talker("Mapper", "mapper", old, 1) + declared_talker("Other", "other", new, 1)
+    specification = load_text(f"{text}node mapper : Mapper {{ out -> /map }}\n").require()
+    plan = STRATEGIES["paper"](replacing(initial(specification), specification, "mapper", "Other"))
+    steps = [replace(step, seconds=1.5) for step in plan.steps if isinstance(step.action, Create | Remove)]
+    return replace(plan, steps=tuple(sorted(steps, key=lambda step: isinstance(step.action, Create) == old_first)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "keeps_name", "order", "found"),
+    [
+        ("preload", "preload", True, "beside", []),
+        ("lifecycle", "lifecycle", True, "beside", []),
+        ("lifecycle", "lifecycle", False, "beside", ["/mapper_2, so none is answered from the end of mapper on"]),
+        ("none", "none", False, "beside", ["/mapper_2, so none is answered from the end of mapper on"]),
+        ("none", "none", False, "first", ["none is answered for about 3.00 s, and until its program has started up"]),
+        ("preload", "preload", True, "first", ["so none is answered for about 3.00 s"]),
+        ("relay", "relay", False, "first", ["/mapper_2, so none is answered from the end of mapper on"]),
+    ],
+)
+def test_plan_and_report_say_the_name_of_the_replacement_and_how_long_none_answers(
+    old: Gate, new: Gate, keeps_name: bool, order: str, found: list[str]
+) -> None:
+    node = "/mapper_relay" if old == "relay" else "/mapper"
+    states = {"mapper": LatestState(bare_state("mapper", node=node, keeps_name=keeps_name), 0.0)}
+    plan = exchange(old, new, old_first=order == "first")
+    said = [each.words for each in names_after(plan, states)]
+    assert len(said) == len(found)
+    assert all(words.endswith(part) for part, words in zip(found, said, strict=True)), said
+    times = {number: StepTime(step=number, began=number * 10.0, seconds=2.0) for number in (1, 2)}
+    reported = [each.words for each in names_now(plan, states, times)]
+    assert len(reported) == len(found)
+    for words in reported:
+        if "/mapper_2" in words:
+            assert words.endswith("so none is answered since mapper has ended")
+        else:
+            assert "mapper had ended before mapper_2 was started, so none was answered for 12.0 s" in words
+    assert not list(names_now(plan, states, {})), "it was not carried out"

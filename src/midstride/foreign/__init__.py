@@ -4,5 +4,5 @@ PUBLIC = (
     "EXPORT_STATE ForeignAgent ForeignRecord GATES_FOLDER Gates GraphEndpoint IMPORT_STATE KILLED "
     "LifecycleManager LifecycleManagers LifecyclePeers NODE_LOOK NamedServer NoAnswer NodeServices OUTPUT "
     "OwnNodeSearch PAGE Page PagePort PortFlag RelayOrder RelayPlatform ReportedStates STATE Served StatePeers "
-    "build differing endpoints_seconds kept_results of_topics order_file private_topics run_relay typed"
+    "build differing endpoints_seconds kept_results of_services of_topics order_file private_topics run_relay typed"
 )

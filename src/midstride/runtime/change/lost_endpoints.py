@@ -45,8 +45,8 @@ def lost_endpoints(
                 known = LastKnown(states.get(name), endpoints.get(name, ()))
                 beside = created.get(role)
                 yield from what_ended(name, found.component, known, planned=True, new=unseen, beside=beside)
-                if known.latest is not None and role in created:
-                    yield from two_writers(role, known.latest, found.component, created[role])
+                if beside is not None:
+                    yield from two_writers(role, known, found.component, beside)
 
 
 def unseen_endpoints(plan: Plan) -> Iterator[verdicts.Assessment]:
@@ -78,9 +78,9 @@ def endpoints_that_ended(
         beside = created.get(instance.role) if instance.role in together else None
         known_now = _as_planned(known, states.get(name))
         yield from what_ended(name, instance.component, known_now, planned=False, beside=beside)
-        if known.latest is not None and instance.role in created and instance.role in together:
+        if instance.role in created and instance.role in together:
             old, new = instance.component, created[instance.role]
-            yield from two_writers(instance.role, known.latest, old, new, together[instance.role])
+            yield from two_writers(instance.role, known, old, new, together[instance.role])
 
 
 def _as_planned(known: LastKnown, before: LatestState | None) -> LastKnown:
@@ -190,14 +190,19 @@ def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[
 
 
 def two_writers(
-    role: str, latest: LatestState, old: ComponentSpec, new: ComponentSpec, together: float | None = None
+    role: str, known: LastKnown, old: ComponentSpec, new: ComponentSpec, together: float | None = None
 ) -> Iterator[verdicts.Assessment]:
     """The topics without a port on which two instances of ``role`` write, or could, while both run.
 
-    Where both have the preloaded library, these are what it does not hand over.
+    Where both have the preloaded library, these are what it does not hand over. A component with the API hands over its
+    own topics to none without it, and does not say which of them it writes on.
     """
-    state, handed_over = latest.state, old.preloads and new.preloads
+    if old.gate is None and new.gate is not None and (own := [e.name for e in known.endpoints if e.kind == "topic"]):
+        yield verdicts.two_writers(role, own, together, publishes=False)
+    if known.latest is None:
+        return
+    state, handed_over = known.latest.state, old.preloads and new.preloads
     written = [each.topic for each in state.undeclared if each.output and not (each.handed_over and handed_over)]
-    one_name = state.keeps_name and handed_over
+    one_name = state.keeps_name and old.loads_library and new.loads_library
     if shared := [topic for topic in written if one_name or not topic.startswith(f"{state.node}/")]:
         yield verdicts.two_writers(role, shared, together)

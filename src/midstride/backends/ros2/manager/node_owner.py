@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 from midstride.backends.ros2 import names
 from midstride.backends.ros2.middleware import PIDS, NodeProcess
-from midstride.runtime.process.reaper import environment_value, process_info, processes
+from midstride.runtime.process import reaper
+from midstride.runtime.process.reaper import environment_value, process_info
 from midstride.wire.environment import ENV_CONTROL, ENV_INSTANCE, ENV_TOKEN
 
 if TYPE_CHECKING:  # it imports rclpy, which this is tested without
@@ -77,7 +78,7 @@ def _has_fast_dds(pid: int) -> bool:
 def _pid_of_instance(instance: names.InstanceNode) -> int | None:
     """The process of an instance of a system whose processes may be looked at; None where there is none."""
     own = instance.instance.strip("/")
-    for process in processes():
+    for process in reaper.processes():
         if environment_value(process.pid, ENV_INSTANCE) == own:
             token = environment_value(process.pid, ENV_TOKEN)
             if token and names.system_tag(token) == instance.system:
