@@ -146,7 +146,7 @@ def test_what_a_killed_node_has_left_is_taken_back_before_its_name_is_used_again
                     await master.address_of("/talker") is None or "/chatter" not in (await master.state()).subscribers
                 ):
                     await asyncio.sleep(0.02)
-                with pytest.raises(StartFailed, match=r"a node /talker is running already"):
+                with pytest.raises(StartFailed, match=r"a node /talker is running already, at http://\S+/, and "):
                     await r.launch("talker", TALKER)
                 bare.kill()
                 bare.wait()

@@ -143,9 +143,10 @@ class Ros1Backend(processes.ProcessBackend, Backend):
         if not await master.is_running(node):
             return node
         if launch.instance == (launch.role or launch.instance):
+            where = await master.address_of(node)
             raise StartFailed(
-                f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
-                "end it yourself, or use another name"
+                f"{launch.instance}: a node {node} is running already, at {where}, and a second one of its name would "
+                "end it; end it yourself, or use another name"
             )
         for number in count(2):
             other = full_name(f"{launch.role}_{number}", launch.namespace)
