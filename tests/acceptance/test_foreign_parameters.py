@@ -165,8 +165,8 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
                 (6.0, "right refuses speed = 6.0: it is too fast", "not_set"),
                 (4.0, "right.cmd does not keep the 10 Hz that its mode guarantees", "set_back"),
             ):
-                values_of_three = {"left": {"gain": 0.5, "speed": 3}, "third": {"speed": 3}, "right": {"speed": speed}}
-                outcome = await carried_out(setting(**values_of_three))
+                request = setting(left={"gain": 0.5, "speed": 3}, third={"speed": 3}, right={"speed": speed})
+                outcome = await carried_out(request)
                 assert outcome.outcome == "rolled_back" and because in str(outcome.because), outcome.because
                 assert [await values(role) for role in ("left", "right", "third")] == before
                 found = {(each.node, each.parameter): each for each in outcome.parameters}

@@ -144,7 +144,9 @@ def test_what_a_node_without_ports_does_is_said_to_be_not_measurable(tmp_path: P
         because = "what driver does: no ports are stated"
         assert plan.headline == (
             f"Nothing is known to degrade. Not measurable here: {because}. "
-            "The new instance has to be up before the old one is ended."
+            "The new instance has to be up before the old one is ended; requests of others to services below /driver, "
+            "as for its parameters: the node of its replacement is called /driver_2, so none is answered from the end "
+            "of driver on."
         )
         (up,) = (await manager.history(1)).changes
         assert said(up.continuity).verdict == "not_measurable", "that it is started is not that it works"

@@ -29,14 +29,13 @@ def node_owner(graph: Graph, node: str, control: Path) -> str:
     own = [process for name, process in shown if name == node]
     pids = [pid for process in own for pid in _pids(process, here)]
     others = [pid for pid in pids if environment_value(pid, ENV_CONTROL) != str(control.absolute())]
-    for pid in others or pids:
-        return described(pid)
-    for found in filter(None, graph.of_name(node)):
-        pid = _pid_of_instance(found) if found.system else None
-        if pid is not None:
-            return described(pid)
-        if found.system:
-            return f"it is {found.instance.strip('/')} of another Midstride system; {ELSEWHERE}"
+    if pids:
+        return described((others or pids)[0])
+    instance = next((found for found in graph.of_name(node) if found is not None and found.system), None)
+    if instance is not None:
+        pid = _pid_of_instance(instance)
+        unknown = f"it is {instance.instance.strip('/')} of another Midstride system; {ELSEWHERE}"
+        return unknown if pid is None else described(pid)
     if not graph.rmw.fast_dds:
         return f"whose it is, is not known: {graph.rmw.identifier} does not tell which process has a node"
     return ELSEWHERE
