@@ -36,7 +36,10 @@ def sleeping(variables: Mapping[str, str]) -> Iterator[int]:
     """A process with these variables that has nothing to do with ROS; its number, once they are to be read."""
     with subprocess.Popen(["sleep", "600"], env={"PATH": os.environ["PATH"], **variables}) as process:
         try:
-            while any(environment_value(process.pid, name) != value for name, value in variables.items()):
+            command = Path(f"/proc/{process.pid}/cmdline")
+            while not command.read_bytes().startswith(b"sleep") or any(
+                environment_value(process.pid, name) != value for name, value in variables.items()
+            ):
                 pass
             yield process.pid
         finally:
