@@ -6,7 +6,7 @@ import random
 from dataclasses import dataclass, field
 
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
-from midstride.model.contract import QoS
+from midstride.model.contract import DEFAULT_QOS, QoS
 
 RELIABLE = QoS(reliability="reliable", durability="volatile", liveliness="automatic")
 SENSOR = QoS(reliability="best_effort", durability="volatile", liveliness="automatic")
@@ -28,6 +28,12 @@ class SimulatedGraph:
 
     def subscription(self, node: str, topic: str, type_: str, qos: QoS = RELIABLE) -> None:
         self._add(node, topic, type_, False, qos)
+
+    def server(self, node: str, name: str, type_: str) -> None:
+        self._add(node, name, type_, True, DEFAULT_QOS)
+
+    def client(self, node: str, name: str, type_: str) -> None:
+        self._add(node, name, type_, False, DEFAULT_QOS)
 
     def _add(self, node: str, topic: str, type_: str, output: bool, qos: QoS) -> None:
         identity = f"{len(self.endpoints):032x}"

@@ -66,7 +66,7 @@ def test_a_draft_is_printed(graph: ObservedGraph, capsys: pytest.CaptureFixture[
 def test_an_empty_graph_is_an_error(graph: ObservedGraph, capsys: pytest.CaptureFixture[str]) -> None:
     graph.endpoints.clear()
     assert main(["capture", "--into", "chat.stride"]) == 1
-    assert "no node with topics was seen" in capsys.readouterr().err
+    assert "no node with topics or services was seen" in capsys.readouterr().err
     assert Path("chat.stride").read_text() == FILE
 
 

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import re
 
-from midstride.capture.observed import ObservedGraph
+from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.capture.probe import Dependences
 from midstride.capture.proposal import component_text, free_name, node_block, ports_of, topic_lines
+from midstride.capture.reliance import by_kind, comments, relied_on
 from midstride.capture.taken_over import gate_of_lifecycle
 from midstride.lang.printer import format_text
 from midstride.lang.token_stream import RESERVED
 from midstride.model.lifecycle_management import Management
+
+
+def drafted_nodes(graph: ObservedGraph) -> list[str]:
+    """The full names of the nodes that a draft has: those with ports."""
+    return sorted({*graph.nodes(), *(each.node for each in drafted_services(graph))})
+
+
+def drafted_services(graph: ObservedGraph) -> frozenset[ObservedEndpoint]:
+    """The servers and clients of the nodes of a graph that are ports in a draft."""
+    every = {each.node for each in graph.services.values()}
+    return relied_on(graph, every, every)
 
 
 def draft(
@@ -21,9 +33,10 @@ def draft(
     management: Management | None = None,
 ) -> str:
     """The text of the system ``name``, with every node of the graph."""
-    ports = {node: ports_of(graph, node, {}, findings) for node in graph.nodes()}
+    services = drafted_services(graph)
+    ports = {node: ports_of(graph, node, {}, findings, services) for node in drafted_nodes(graph)}
     found_ports = [port for each in ports.values() for port in each]
-    topics = sorted({port.endpoint.topic for port in found_ports})
+    topics = by_kind(graph, {port.endpoint.topic for port in found_ports})
     heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}
     lines = [
         f"# Captured for {graph.seconds:g} s. What starts a node is not in the graph: add it to each component,",
@@ -45,7 +58,8 @@ def draft(
             lines.append(f"# A lifecycle node: `gate {gate}`, so that Midstride manages its lifecycle.")
         elif managers := graph.managers_of(node):
             lines.append(f"# A lifecycle node that {', '.join(managers)} manages: `gate preload`.")
-        lines += [f"component {component} {{", *component_text(found, heard, rates, own_topics=False), "}", ""]
+        body = [*component_text(found, heard, rates, own_topics=False), *comments(graph, node, services)]
+        lines += [f"component {component} {{", *body, "}", ""]
         namespace, _, own = node.rpartition("/")
         name = own if own not in RESERVED else free_name(own, {*RESERVED, *owns}, "_")
         statements = nodes.setdefault(namespace.strip("/"), [])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import shlex
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import TypeGuard
 
-from midstride.capture.observed import ObservedGraph
+from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.capture.probe import Dependences
 from midstride.capture.proposal import (
     ProposedPort,
@@ -18,9 +18,11 @@ from midstride.capture.proposal import (
     free_name,
     merged,
     node_block,
+    own_name,
     ports_of,
     topic_lines,
 )
+from midstride.capture.reliance import by_kind, comments, relied_on, why_not
 from midstride.capture.taken_over import gate_of_lifecycle, require_all, words_on
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostic_text import Reporter
@@ -37,6 +39,7 @@ from midstride.lang.syntax import (
     OrderStatement,
     TopicDeclaration,
 )
+from midstride.model.contract import ConnectorKind
 from midstride.model.lifecycle_management import Management
 
 
@@ -44,11 +47,13 @@ from midstride.model.lifecycle_management import Management
 class Insertion:
     """The new text, the nodes that got ports, and, by full name, why others of the graph or the file did not.
 
+    ``ports``: how many they got.
     ``lifecycle``: what manages the lifecycle nodes from now on, in sentences.
     """
 
     text: str
     added: list[str] = field(default_factory=list)
+    ports: int = 0
     left: dict[str, str] = field(default_factory=dict)
     lifecycle: list[str] = field(default_factory=list)
 
@@ -103,6 +108,7 @@ class _Inserter:
             if isinstance(item, NodeDeclaration)
         }
         self.edits: list[tuple[int, int, str]] = []
+        self.services: frozenset[ObservedEndpoint] = frozenset()
 
     def _items(self, items: tuple[Item, ...], namespace: str) -> Iterator[tuple[Item, str]]:
         for item in items:
@@ -113,19 +119,24 @@ class _Inserter:
 
     def insertion(self) -> Insertion:
         result = Insertion("")
-        found, seen = [], set(self.graph.nodes())
-        for each in self.open_nodes(result):
+        open_ = list(self.open_nodes(result))
+        self.services = self._services(open_)
+        found, seen = [], {*self.graph.nodes(), *(each.node for each in self.services)}
+        for each in open_:
             if each[1] in seen:
                 found.append(each)
+            elif self.graph.services_of(each[1]):
+                result.left[each[1]] = "it has no topics, and its services get no ports"
             else:
                 result.left[each[1]] = "it is not in the graph, or has no topics"
         in_file = {*result.left, *(full for _, full, _ in found)}
         result.left |= dict.fromkeys(sorted(seen - in_file), "it is not in this file")
         ports = {
-            full: ports_of(self.graph, full, self._remaps(component, full), self.findings)
+            full: ports_of(self.graph, full, self._remaps(component, full), self.findings, self.services)
             for _, full, component in found
         }
         heard = {port.endpoint.topic for each in ports.values() for port in each if port.endpoint.output}
+        heard |= self._declared_topics("service", "action")
         stated: list[ProposedPort] = []
         for component in {id(each): each for _, _, each in found}.values():
             members = [(node, ports[full]) for node, full, other in found if other is component]
@@ -133,7 +144,9 @@ class _Inserter:
         for node, full, _ in found:
             self._attach(node, ports[full])
             result.added.append(full)
-        topics = sorted({port.endpoint.topic for each in ports.values() for port in each} - self._declared_topics())
+            result.ports += len(ports[full])
+        named = {port.endpoint.topic for each in ports.values() for port in each}
+        topics = by_kind(self.graph, named - self._declared_topics("topic", "service", "action"))
         self._declare(topic_lines(self.graph, topics, stated if self.rates else ()))
         self._manage_lifecycle(result)
         result.text = self._text()
@@ -146,7 +159,7 @@ class _Inserter:
             if isinstance(item, NodeDeclaration):
                 full = self.names[id(item)]
                 component = self.components.get(item.component.text if item.component else "")
-                if self.management == "midstride" and self.graph.managers.get(full):
+                if self._is_left_out(full):
                     result.left[full] = "Midstride manages what it managed"
                 elif component is None:
                     result.left[full] = "its component is not in this file"
@@ -158,10 +171,40 @@ class _Inserter:
                     found.append((item, full, component))
         return found
 
-    def _declared_topics(self) -> set[str]:
+    def _services(self, nodes: list[tuple[NodeDeclaration, str, ComponentDeclaration]]) -> frozenset[ObservedEndpoint]:
+        """The servers and clients that become ports: those that are relied on, and the same ones of nodes that share a
+        component with theirs. Requests are handed over by the library that `gate preload` loads, so it is needed."""
+        here = {full: component for _, full, component in nodes if self._is_preloaded(component)}
+        system = {full for full in self.names.values() if not self._is_left_out(full)}
+        found = relied_on(self.graph, here, system, self._declared_topics("service", "action"))
+        shared = {(id(here[each.node]), self._own_name(each, here), each.output, each.type) for each in found}
+        return found | {
+            each
+            for full, component in here.items()
+            for each in self.graph.services_of(full)
+            if (id(component), self._own_name(each, here), each.output, each.type) in shared
+            if not why_not(self.graph, each)
+        }
+
+    def _own_name(self, endpoint: ObservedEndpoint, components: Mapping[str, ComponentDeclaration]) -> str:
+        return own_name(endpoint, self._remaps(components[endpoint.node], endpoint.node))
+
+    @staticmethod
+    def _is_preloaded(component: ComponentDeclaration) -> bool:
+        """Whether the library is loaded into its program, or what starts it is not stated."""
+        gates = [None if run.gate is None else run.gate.text for run in component.runs]
+        return all(gate in ("preload", "lifecycle preload") for gate in gates)
+
+    def _is_left_out(self, node: str) -> bool:
+        """Whether Midstride manages from now on what ``node`` managed."""
+        return self.management == "midstride" and bool(self.graph.managers.get(node))
+
+    def _declared_topics(self, *kinds: ConnectorKind) -> set[str]:
         items = self._items(self.file.items, "")
         return {
-            "/" + resolve_name(inside, item.name.text) for item, inside in items if isinstance(item, TopicDeclaration)
+            "/" + resolve_name(inside, item.name.text)
+            for item, inside in items
+            if isinstance(item, TopicDeclaration) and item.kind in kinds
         }
 
     # -- edits -----------------------------------------------------------------------------------------------
@@ -202,6 +245,8 @@ class _Inserter:
                 replace(port, rate=same.rate) for _, own in members for port, same in zip(own, ports, strict=True)
             ]
             lines = component_text(ports, heard - unheard, self.rates)
+            if self._is_preloaded(component):
+                lines += comments(self.graph, self.names[id(members[0][0])], self.services)
             commands = self._commands(component, ports, self._takes_over(self.names[id(members[0][0])]))
             if number == 0:
                 self.edits += [(start + first, start + last, new) for first, last, new in commands]

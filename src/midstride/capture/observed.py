@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
-from midstride.model.contract import QoS
-from midstride.model.graph_names import is_infrastructure
+from midstride.model.contract import ConnectorKind, QoS, connector_kind
+from midstride.model.graph_names import is_infrastructure, is_of_every_node
 
 # The times of so many messages are kept for each publisher.
 MAX_TIMES: Final = 100_000
@@ -15,7 +15,10 @@ MAX_TIMES: Final = 100_000
 
 @dataclass(frozen=True, slots=True)
 class ObservedEndpoint:
-    """A publisher (``output``) or a subscription. ``node`` and ``topic`` are full names; ``identity`` is unique."""
+    """A publisher (``output``) or a subscription, or a server (``output``) or a client of a service or ROS action.
+
+    ``node`` and ``topic`` are full names; ``identity`` is unique among publishers and subscriptions.
+    """
 
     node: str
     topic: str
@@ -25,21 +28,30 @@ class ObservedEndpoint:
     identity: str
 
     @property
+    def kind(self) -> ConnectorKind:
+        return connector_kind(self.type)
+
+    @property
     def is_infrastructure(self) -> bool:
         """Whether it is ROS's own rather than the node's, or of a hidden node."""
-        return "/_" in self.node or is_infrastructure(self.topic, output=self.output)
+        if self.kind == "topic":
+            return "/_" in self.node or is_infrastructure(self.topic, output=self.output)
+        of_node = is_of_every_node(self.topic, self.type, self.node if self.output else None)
+        return "/_" in self.node or "/_" in self.topic or of_node
 
 
 @dataclass(slots=True)
 class ObservedGraph:
     """What has been seen so far. ``seconds``: for how long; ``unreadable``: the types that could not be imported.
 
+    ``endpoints``: publishers and subscriptions; ``services``: the servers and clients of services and ROS actions.
     ``lazy``: the nodes and topics of publishers that have gone when nothing subscribed to them any more.
     ``lifecycle``: the lifecycle nodes, and ``managers``: by node that changes the lifecycle state of others, these.
     """
 
     seconds: float = 0.0
     endpoints: dict[tuple[str, str, bool], ObservedEndpoint] = field(default_factory=dict)
+    services: dict[tuple[str, str, bool], ObservedEndpoint] = field(default_factory=dict)
     unreadable: set[str] = field(default_factory=set)
     lazy: set[tuple[str, str]] = field(default_factory=set)
     lifecycle: set[str] = field(default_factory=set)
@@ -50,7 +62,8 @@ class ObservedGraph:
         """The graph shows these endpoints now."""
         for endpoint in endpoints:
             if not endpoint.is_infrastructure:
-                self.endpoints[endpoint.node, endpoint.topic, endpoint.output] = endpoint
+                among = self.endpoints if endpoint.kind == "topic" else self.services
+                among[endpoint.node, endpoint.topic, endpoint.output] = endpoint
 
     def heard(self, topic: str, publisher: str | None, time: float) -> None:
         """A message on ``topic`` was written at ``time`` (s), by the publisher of that identity, if that is known."""
@@ -77,10 +90,24 @@ class ObservedGraph:
         """The full names of the topics with a publisher."""
         return {each.topic for each in self.endpoints.values() if each.output}
 
+    def on(self, name: str) -> list[ObservedEndpoint]:
+        """The endpoints of a topic; where there is none of that name, of a service or ROS action."""
+        among = (self.endpoints, self.services)
+        found = ([each for each in endpoints.values() if each.topic == name] for endpoints in among)
+        return next(filter(None, found), [])
+
     def nodes(self) -> list[str]:
-        """The full names of the nodes with endpoints."""
+        """The full names of the nodes with publishers or subscriptions."""
         return sorted({endpoint.node for endpoint in self.endpoints.values()})
 
     def of_node(self, node: str) -> list[ObservedEndpoint]:
-        found = (each for each in self.endpoints.values() if each.node == node)
-        return sorted(found, key=lambda each: (each.output, each.topic))
+        """The publishers and subscriptions of a node."""
+        return _ordered(each for each in self.endpoints.values() if each.node == node)
+
+    def services_of(self, node: str) -> list[ObservedEndpoint]:
+        """The servers and clients of a node."""
+        return _ordered(each for each in self.services.values() if each.node == node)
+
+
+def _ordered(endpoints: Iterable[ObservedEndpoint]) -> list[ObservedEndpoint]:
+    return sorted(endpoints, key=lambda each: (each.output, each.topic))

@@ -1,9 +1,9 @@
-"""What a graph proposes for each node: its ports and one functionality, as text of the Stride language."""
+"""What a graph proposes for each node: its ports and their functionalities, as text of the Stride language."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Final
@@ -13,9 +13,12 @@ from midstride.capture.probe import Dependence, Dependences, ProbeVerdict
 from midstride.capture.rates import MeasuredRate, measured
 from midstride.lang.token_stream import RESERVED
 from midstride.model.contract import DEFAULT_QOS, QoS
-from midstride.model.wording import counted
+from midstride.model.wording import KIND_WORDS, counted
 
 FUNCTIONALITY: Final = "main"
+# Those of servers and of clients, if there are any.
+SERVING: Final = "serve"
+CALLING: Final = "call"
 SHORT: Final = 70
 # From what asks for no assumption to what does.
 _VERDICTS: Final[tuple[ProbeVerdict, ...]] = ("independent", "indirect", "undecided", "depends")
@@ -51,9 +54,15 @@ class ProposedPort:
     def declaration(self, *, of_program: bool = True) -> str:
         """How a component states the port; ``of_program``: one whose program does not use Midstride's API."""
         own = f" as {self.stated_topic}" if of_program and self.stated_topic != self.name else ""
+        words = KIND_WORDS[self.endpoint.kind]
         if self.endpoint.output:
-            return f"output {self.name}{own}{' lazy' if of_program and self.lazy else ''}"
-        return f"input {self.name} : {self.contract}{own}"
+            return f"{words.output} {self.name}{own}{' lazy' if of_program and self.lazy else ''}"
+        return f"{words.input} {self.name} : {self.contract}{own}"
+
+    @property
+    def is_service(self) -> bool:
+        """Return whether it is a server or a client, of a service or ROS action."""
+        return self.endpoint.kind != "topic"
 
     @property
     def other_name(self) -> str | None:
@@ -84,17 +93,25 @@ def contract_text(type_: str, qos: QoS, rate: float | None = None) -> str:
 
 
 def ports_of(
-    graph: ObservedGraph, node: str, remaps: Mapping[str, str], findings: Dependences | None = None
+    graph: ObservedGraph,
+    node: str,
+    remaps: Mapping[str, str],
+    findings: Dependences | None = None,
+    services: Collection[ObservedEndpoint] = (),
 ) -> list[ProposedPort]:
-    """The ports of a node; ``remaps`` has what its program calls topics, by their full names."""
+    """The ports of a node; ``remaps`` has what its program calls topics and services, by their full names.
+
+    ``services``: the servers and clients that become ports.
+    """
     ports: list[ProposedPort] = []
     used: set[str] = set()
-    endpoints = graph.of_node(node)
+    endpoints = [*graph.of_node(node), *(each for each in graph.services_of(node) if each in services)]
     for endpoint in endpoints:
         name = _port_name(endpoint, endpoints, used)
         used.add(name)
-        own = remaps.get(endpoint.topic) or _relative(endpoint.topic, node)
-        rate, note = _measured(graph, endpoint) if endpoint.output else (None, "")
+        own = own_name(endpoint, remaps)
+        measures = endpoint.output and endpoint.kind == "topic"
+        rate, note = _measured(graph, endpoint) if measures else (None, "")
         lazy = endpoint.output and (node, endpoint.topic) in graph.lazy
         ports.append(ProposedPort(name, endpoint, own, rate, note, lazy=lazy))
     return [
@@ -161,8 +178,11 @@ def _port_name(endpoint: ObservedEndpoint, all_: Iterable[ObservedEndpoint], use
     return next(name for name in names if name not in used and name not in RESERVED and not name[0].isdigit())
 
 
-def _relative(topic: str, node: str) -> str:
-    """What the program may call the topic: a name relative to the node or its namespace means the same."""
+def own_name(endpoint: ObservedEndpoint, remaps: Mapping[str, str]) -> str:
+    """What the program may call the topic or service: a name relative to the node or its namespace means the same."""
+    topic, node = endpoint.topic, endpoint.node
+    if topic in remaps:
+        return remaps[topic]
     namespace = node.rpartition("/")[0] + "/"
     if topic.startswith(f"{node}/"):
         return f"~/{topic.removeprefix(f'{node}/')}"
@@ -175,31 +195,45 @@ def component_text(ports: Iterable[ProposedPort], heard: set[str], rates: bool, 
     An input is assumed if its topic is in ``heard``, the topics with a publisher in the specification. With ``rates``,
     guarantees state the proposed bounds. What was probed decides further: outputs that depend on other inputs are in a
     functionality for them, and an input on which no output depends is not assumed.
+
+    Servers and clients have functionalities apart: nothing shows which outputs need which server, and a gate that
+    closed because a server has gone would make one loss two.
     """
     ports = list(ports)
     if not ports:
         return []
-    inputs = [port for port in ports if not port.endpoint.output]
-    outputs = [port for port in ports if port.endpoint.output]
+    inputs = [port for port in ports if not port.endpoint.output and not port.is_service]
+    outputs = [port for port in ports if port.endpoint.output and not port.is_service]
+    servers = [port for port in ports if port.endpoint.output and port.is_service]
+    clients = [port for port in ports if not port.endpoint.output and port.is_service]
 
     lines: list[str] = []
-    for port in [*inputs, *outputs]:
+    for port in [*inputs, *outputs, *servers, *clients]:
         if own_topics and port.other_name is not None:
             lines.append(f"# `{port.stated_topic}`, or `{port.other_name}`: see what the program calls it")
         if port.lazy and not own_topics:
             lines.append(f"# with a gate: `{port.declaration()}`, as it had gone when nothing subscribed to it")
         lines.append(port.declaration(of_program=own_topics))
+    lines += _of_topics(inputs, outputs, heard, rates)
+    lines += _functionality(SERVING, [], servers, heard, rates) if servers else ()
+    lines += _functionality(CALLING, clients, [], heard, rates) if clients else ()
+    return lines
+
+
+def _of_topics(inputs: list[ProposedPort], outputs: list[ProposedPort], heard: set[str], rates: bool) -> Iterator[str]:
+    """The functionalities from inputs to outputs."""
     groups: dict[frozenset[str], list[ProposedPort]] = {}
     for port in outputs:
         groups.setdefault(frozenset(each.name for each in inputs if _needs(port, each)), []).append(port)
     if len(groups) < 2:
-        return [*lines, *_functionality(FUNCTIONALITY, inputs, outputs, heard, rates)]
+        if inputs or outputs:
+            yield from _functionality(FUNCTIONALITY, inputs, outputs, heard, rates)
+        return
     used = frozenset[str]().union(*groups)
     for number, (needed, members) in enumerate(groups.items()):
         # What none of them depends on belongs to the first one.
         own = [port for port in inputs if port.name in needed or (number == 0 and port.name not in used)]
-        lines += _functionality(f"make_{members[0].name}", own, members, heard, rates)
-    return lines
+        yield from _functionality(f"make_{members[0].name}", own, members, heard, rates)
 
 
 def _needs(output: ProposedPort, input_: ProposedPort) -> bool:
@@ -208,7 +242,7 @@ def _needs(output: ProposedPort, input_: ProposedPort) -> bool:
 
 
 def _functionality(
-    name: str, inputs: list[ProposedPort], outputs: list[ProposedPort], heard: set[str], rates: bool
+    name: str, inputs: Sequence[ProposedPort], outputs: Sequence[ProposedPort], heard: set[str], rates: bool
 ) -> Iterator[str]:
     yield f"functionality {name} {{"
     if inputs:
@@ -224,11 +258,12 @@ def _functionality(
         elif port.endpoint.topic in heard:
             yield f"assume {port.name}" + (f"  # probed: {evidence}" if evidence else "")
         else:
-            yield f"# no node here publishes what `{port.name}` receives"
+            nothing = "serves what `{}` calls" if port.is_service else "publishes what `{}` receives"
+            yield f"# no node here {nothing.format(port.name)}"
     for port in outputs:
         bound = port.rate.bound if rates and port.rate is not None else None
         contract = contract_text(port.endpoint.type, port.endpoint.qos, bound)
-        yield f"guarantee {port.name} : {contract}  # {port.note}"
+        yield f"guarantee {port.name} : {contract}" + (f"  # {port.note}" if port.note else "")
     yield from ("}", "mode degraded { }", "}")
 
 
@@ -243,7 +278,7 @@ def _in_words(finding: Dependence) -> str:
 
 
 def topic_lines(graph: ObservedGraph, topics: Iterable[str], rated: Iterable[ProposedPort]) -> list[str]:
-    """The declarations of topics, each with what all of its publishers offer.
+    """The declarations of topics, services and ROS actions, each with what all of its publishers offer.
 
     The rate is the lowest bound of the ``rated`` ports, if these are all of its publishers.
     """
@@ -253,7 +288,7 @@ def topic_lines(graph: ObservedGraph, topics: Iterable[str], rated: Iterable[Pro
             bounds.setdefault(port.endpoint.topic, []).append(port.rate.bound)
     lines = []
     for topic in topics:
-        endpoints = [each for each in graph.endpoints.values() if each.topic == topic]
+        endpoints = graph.on(topic)
         publishers = [each for each in endpoints if each.output]
         types = sorted({each.type for each in publishers or endpoints})
         profile = (
@@ -261,7 +296,7 @@ def topic_lines(graph: ObservedGraph, topics: Iterable[str], rated: Iterable[Pro
         )
         known = bounds.get(topic, [])
         rate = min(known) if known and len(known) == len(publishers) else None
-        lines.append(f"topic {topic} : {contract_text(types[0], profile, rate)}")
+        lines.append(f"{endpoints[0].kind} {topic} : {contract_text(types[0], profile, rate)}")
     return lines
 
 

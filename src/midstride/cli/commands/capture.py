@@ -10,7 +10,7 @@ import click
 
 from midstride.backends import ros2
 from midstride.backends.ros2.manager import probed_page
-from midstride.capture.graph_draft import draft
+from midstride.capture.graph_draft import draft, drafted_nodes, drafted_services
 from midstride.capture.insertion import insert, nodes_without_ports
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import (
@@ -74,6 +74,7 @@ def capture_command(
 ) -> int:
     """Look at the running ROS 2 nodes, and propose their ports with types, QoS and rates.
 
+    Services and ROS actions are proposed where nodes call each other; comments name the others.
     The time counts from when the nodes of FILE have been seen, or 10 s later.
     With `--into`, nodes of FILE that have no ports get them, and the rest stays as it is; otherwise a draft is
     printed, or written with `-o`.
@@ -93,27 +94,29 @@ def capture_command(
     folder = find_workspace(system).components / GATES_FOLDER if with_probe else None
     with nullcontext() if folder is None else probed_page.probing(folder) as gates:
         graph = ros2.observe(seconds, nodes)
-        if not graph.endpoints:
+        if not graph.endpoints and not graph.services:
             raise MidstrideError(
-                f"no node with topics was seen within {seconds:g} s (ROS_DOMAIN_ID and discovery range?)"
+                f"no node with topics or services was seen within {seconds:g} s (ROS_DOMAIN_ID and discovery range?)"
             )
         if gates is not None:
             findings = _probed(gates, graph, graph.nodes() if into is None else nodes, probe_seconds, yes)
     if findings is None:
         return NO
-    added, left, target = graph.nodes(), dict[str, str](), output
+    added, left, target = drafted_nodes(graph), dict[str, str](), output
+    ports = sum(len(graph.of_node(node)) for node in added) + len(drafted_services(graph))
     if into is not None:
         if (stated := load(into).specification) is not None:
             note_managers(graph, stated)
         insertion = insert(read_text(into), str(into), graph, rates, findings, lifecycle)
         text, added, left, target = insertion.text, insertion.added, insertion.left, output or into
+        ports = insertion.ports
         managed = insertion.lifecycle
     else:
         text = draft("captured", graph, rates, findings, lifecycle)
         managed = words_on(graph, lifecycle, added)
     if target is not None:
         write(target, text)
-    _report(text, target, graph, added, left, managed, findings)
+    _report(text, target, graph, added, ports, left, managed, findings)
     return 0
 
 
@@ -158,11 +161,11 @@ def _report(
     target: Path | None,
     graph: ObservedGraph,
     added: list[str],
+    ports: int,
     left: dict[str, str],
     managed: list[str],
     findings: Dependences,
 ) -> None:
-    endpoints = [each for node in added for each in graph.of_node(node)]
     if wants_json():
         print_json(
             {
@@ -170,7 +173,7 @@ def _report(
                 "specification": text if target is None else None,
                 "seconds": graph.seconds,
                 "nodes": added,
-                "ports": len(endpoints),
+                "ports": ports,
                 "left": left,
                 "lifecycle": managed,
                 "probed": [
@@ -189,4 +192,4 @@ def _report(
     for type_ in sorted(graph.unreadable):
         click.echo(f"{type_}: its package is not here, so rates are not measured", err=True)
     where = f" in {target}" if target is not None else ""
-    click.echo(f"{counted(len(added), 'node')}{where} with {counted(len(endpoints), 'port')}", err=True)
+    click.echo(f"{counted(len(added), 'node')}{where} with {counted(ports, 'port')}", err=True)

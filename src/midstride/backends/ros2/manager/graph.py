@@ -21,21 +21,14 @@ from rclpy.node import NodeNameNonExistentError
 
 from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import port_endpoints
+from midstride.backends.ros2.manager.named_servers import ACTION, named_servers
 from midstride.backends.ros2.middleware import NodeProcess, RmwImplementation
 from midstride.backends.ros2.names import InstanceNode
-from midstride.foreign.graph_check import GraphEndpoint, NamedServer, Served
+from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.lifecycle_managers import LifecycleManager
-from midstride.model.graph_names import is_infrastructure
+from midstride.model.graph_names import OF_PARAMETERS, is_infrastructure, is_of_every_node
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Endpoints
-
-# Between the name of a ROS action and those of its services.
-_ACTION: Final = "/_action/"
-# What the type of the service that takes the goals of a ROS action ends with.
-_SEND_GOAL: Final = "_SendGoal"
-# The packages of the services that ROS itself gives nodes: parameters, lifecycle, types, log levels.
-_OF_PARAMETERS: Final = "rcl_interfaces/"
-_OF_EVERY_NODE: Final = (_OF_PARAMETERS, "lifecycle_msgs/", "type_description_interfaces/", "logging_interfaces/")
 
 _GET_STATE: Final = "lifecycle_msgs/srv/GetState"
 
@@ -190,24 +183,10 @@ class Graph:
                 found = [(name, types) for name, types in shown if name in services]
         except NodeNameNonExistentError:
             return Served()
-        servers: set[NamedServer] = set()
+        servers = named_servers(found)
         has_lifecycle = any(name == f"{node}/get_state" and _GET_STATE in types for name, types in found)
-        for name, types in found:
-            action, _, part = name.partition(_ACTION)
-            if part:
-                servers.update(
-                    NamedServer("action", action, type_.removesuffix(_SEND_GOAL))
-                    for type_ in types
-                    if type_.endswith(_SEND_GOAL)
-                )
-            else:
-                servers.update(NamedServer("service", name, type_) for type_ in types)
         managers = tuple(self._managers(node)) if has_lifecycle else ()
-        words = {
-            str(server)
-            for server in servers
-            if not (server.name.startswith(f"{node}/") and server.type.startswith(_OF_EVERY_NODE))
-        }
+        words = {str(server) for server in servers if not is_of_every_node(server.name, server.type, node)}
         return Served(
             tuple(sorted(words)), has_lifecycle, managers, tuple(sorted(self._calls(node))), frozenset(servers)
         )
@@ -216,12 +195,12 @@ class Graph:
         """The services and ROS actions of other nodes that a node may call, in words."""
         found = set()
         for name, types in self._clients(node):
-            action, _, part = name.partition(_ACTION)
+            action, _, part = name.partition(ACTION)
             owner = name.rpartition("/")[0]
             if part:
                 found.add(f"ROS action {action}")
             elif owner != node:
-                of_parameters = any(type_.startswith(_OF_PARAMETERS) for type_ in types)  # a client of them has six
+                of_parameters = any(type_.startswith(OF_PARAMETERS) for type_ in types)  # a client of them has six
                 found.add(f"the parameters of {owner}" if of_parameters else f"service {name}")
         return found
 

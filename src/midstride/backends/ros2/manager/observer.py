@@ -1,4 +1,4 @@
-"""Looks at a live ROS 2 graph: its endpoints, and the times of messages on its topics, of any type."""
+"""Looks at a live ROS 2 graph: its endpoints and services, and the times of messages on its topics, of any type."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from midstride.backends.common_messages import message_class
 from midstride.backends.ros2 import middleware
 from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, seconds_of
+from midstride.backends.ros2.manager.named_servers import named_servers
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.errors import NodeError
+from midstride.model.contract import DEFAULT_QOS
 from midstride.model.instance_names import full_name
 
 # How often the graph is read (s): nodes and topics appear one after another.
@@ -54,7 +56,9 @@ def observe(
     missing, appeared = set(nodes), dict[str, float]()
     try:
         while (now := time.monotonic()) - start < seconds and not done(graph):
-            missing.difference_update(graph.nodes() if missing else ())
+            missing.difference_update(
+                each.node for among in (graph.endpoints, graph.services) for each in among.values()
+            )
             missing -= {name for name, at in appeared.items() if now - at >= WITHOUT_TOPICS}
             if missing and now - begun < PATIENCE:
                 start = now
@@ -84,11 +88,14 @@ def _look(node: Any, graph: ObservedGraph, subscribed: set[str]) -> None:
         if wanted and topic not in subscribed:
             subscribed.add(topic)
             _subscribe(node, graph, wanted)
-    _look_at_lifecycle(node, graph)
+    _look_at_services(node, graph)
 
 
-def _look_at_lifecycle(node: Any, graph: ObservedGraph) -> None:
-    """Note which nodes serve `change_state`, and which call it; not ROS's tools, nor a manager of Midstride."""
+def _look_at_services(node: Any, graph: ObservedGraph) -> None:
+    """Note the servers and clients of nodes, but for ROS's tools and a manager of Midstride.
+
+    Which nodes serve `change_state`, and which call it, says what manages lifecycle nodes.
+    """
     for own, namespace in node.get_node_names_and_namespaces():
         if own.startswith("_"):
             continue
@@ -98,6 +105,10 @@ def _look_at_lifecycle(node: Any, graph: ObservedGraph) -> None:
             called = node.get_client_names_and_types_by_node(own, namespace)
         except NodeNameNonExistentError:  # it has ended meanwhile
             continue
+        for output, listed in ((True, served), (False, called)):
+            graph.saw(
+                ObservedEndpoint(name, each.name, each.type, output, DEFAULT_QOS, "") for each in named_servers(listed)
+            )
         if any(service == f"{name}/{_CHANGE_STATE}" and _CHANGES_STATE in types for service, types in served):
             graph.lifecycle.add(name)
         managed = {
