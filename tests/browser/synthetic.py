@@ -17,7 +17,9 @@ import msgspec
 import uvicorn
 from fastapi import FastAPI, Response
 from fastapi.responses import StreamingResponse
+from msgspec import structs
 
+from midstride.model.contract import connector_kind
 from midstride.runtime.records.reports import Event
 from midstride.runtime.records.status_forms import (
     CrashedInstance,
@@ -68,6 +70,12 @@ def port(name: str, direction: str, topic: str | None, rate: float | None = 10.0
     )
 
 
+def service_port(name: str, direction: str, service: str, type_: str) -> PortStatus:
+    """A server (`out`) or a client: nothing counts its requests."""
+    unknown = {"declared": None, "rate": None, "met": None, "age": None, "jitter": None, "longest": None}
+    return structs.replace(port(name, direction, service, type=type_), **unknown)
+
+
 def component(
     name: str, functionalities: list[FunctionalityStatus], ports: list[PortStatus], **more: Any
 ) -> InstanceStatus:
@@ -104,9 +112,16 @@ def topics_of(components: list[InstanceStatus]) -> list[TopicStatus]:
                 (outs if found.direction == "out" else ins).append(f"{each.name}.{found.name}")
     return [
         TopicStatus(
-            name=name, topic=name, type=kind, rate=10.0, satisfied=True, publishers=outs, subscribers=ins, outside=[]
+            name=name,
+            topic=name,
+            type=type_,
+            rate=10.0 if connector_kind(type_) == "topic" else None,
+            satisfied=True,
+            publishers=outs,
+            subscribers=ins,
+            outside=[],
         )
-        for name, (kind, outs, ins) in sorted(ends.items())
+        for name, (type_, outs, ins) in sorted(ends.items())
     ]
 
 

@@ -352,3 +352,22 @@ def test_tables_end_without_blanks_where_there_is_no_terminal(capsys: pytest.Cap
     assert capsys.readouterr().out.splitlines() == ["a  b", f"1  {'x' * 150}", "2  y"]
     console().print(rows, width=PAGE_WIDTH)
     assert max(map(len, capsys.readouterr().out.splitlines())) <= PAGE_WIDTH
+
+
+@pytest.mark.parametrize(
+    ("type_", "words", "server", "client"),
+    [
+        ("nav_msgs/srv/GetMap", "service", "no server", "no client"),
+        ("nav2_msgs/action/Dock", "ROS action", "no action server", "no action client"),
+    ],
+)
+def test_a_service_is_shown_from_its_clients_to_its_server(type_: str, words: str, server: str, client: str) -> None:
+    topic: dict[str, Any] = {"name": "/map", "topic": "/map", "type": type_, "rate": None}
+    topic |= {"satisfied": True, "publishers": ["maps.map"], "subscribers": ["user.map", "dock.map"], "outside": []}
+
+    def line(**changed: Any) -> str:
+        return shown(render_status.status(status(topics=[topic | changed])))[-1]
+
+    assert line() == f"{words} /map: user.map, dock.map → maps.map"
+    assert line(subscribers=[]) == f"{words} /map: {client} → maps.map"
+    assert line(publishers=[], satisfied=False) == f"{words} /map: user.map, dock.map → {server}  (not satisfied)"

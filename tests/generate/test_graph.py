@@ -95,6 +95,87 @@ def test_a_namespace_around_everything_is_no_group() -> None:
     assert len(view(load_text("".join([*text, "namespace robot1 {\n", *flat, "}\n"])).require()).boxes) == 90
 
 
+SERVING = """system mapping
+contract Map = nav_msgs/srv/GetMap responds within 50 ms
+topic /scan : sensor_msgs/msg/LaserScan @ 10 Hz
+service /map : Map
+action /dock : nav2_msgs/action/DockRobot
+component MapServer {
+  output scan
+  server map
+  functionality serve {
+    produces map, scan
+    mode on { guarantee map : Map  guarantee scan : sensor_msgs/msg/LaserScan @ 10 Hz }
+    mode off { }
+  }
+}
+component Docking {
+  client map : nav_msgs/srv/GetMap
+  input scan : sensor_msgs/msg/LaserScan
+  action server dock
+  functionality docking {
+    uses map, scan   produces dock
+    mode on { assume map  assume scan  guarantee dock : nav2_msgs/action/DockRobot }
+    mode off { }
+  }
+}
+component Mission {
+  action client dock : nav2_msgs/action/DockRobot
+  functionality drive { uses dock  mode on { assume dock }  mode off { } }
+}
+namespace map {
+  node map_server : MapServer { map -> /map  scan -> /scan }
+  node docking : Docking { map <- /map  dock -> /dock  scan <- /scan }
+}
+node mission : Mission { dock <- /dock }
+"""
+
+
+def test_services_differ_from_topics_and_their_arrows_point_at_the_server() -> None:
+    drawn = view(load_text(SERVING).require(), annotate=True)
+    assert {topic.name: topic.kind for topic in drawn.topics} == {
+        "/scan": "topic",
+        "/map": "service",
+        "/dock": "action",
+    }
+    assert not any("publisher" in topic.note for topic in drawn.topics)  # at most one server is no choice
+    dot = to_dot(drawn).splitlines()
+    number = {
+        name: next(line.split()[0] for line in dot if f">{name}<br/>" in line.replace("label=<", ">"))
+        for name in ("/scan", "service /map", "ROS action /dock")
+    }
+    shapes = {name: next(line for line in dot if line.startswith(f"  {id} [")) for name, id in number.items()}
+    for name, shape in (("/scan", "ellipse"), ("service /map", "hexagon"), ("ROS action /dock", "octagon")):
+        assert f"shape={shape}," in shapes[name]
+    edges = {
+        name: [line for line in dot if "->" in line and f" {id} " in f" {line.strip(' ;')} "]
+        for name, id in number.items()
+    }
+    assert [len(found) for found in edges.values()] == [2, 2, 2]
+    assert not any("dir=back" in edge or "dotted" in edge for edge in edges["/scan"])
+    for name in ("service /map", "ROS action /dock"):
+        server, client = sorted(edges[name], key=lambda edge: edge.strip().startswith(f"{number[name]} "))
+        assert '"out ' in server and '"in ' in client  # what relies on another node is drawn behind it
+        assert all("[dir=back, style=dotted]" in edge for edge in (server, client))
+
+    mermaid = to_mermaid(drawn)
+    ids = {
+        line.split('"')[1].split("<br/>")[0]: re.split(r"[\[{(]", line.strip())[0]
+        for line in mermaid.splitlines()
+        if ":::" in line
+    }
+    box = {title.split(" ")[0].removeprefix("#60;b#62;"): id for title, id in ids.items()}
+    assert f"  {box['<b>map/docking']} -->|map| {ids['service /map']}\n" in mermaid
+    assert f"  {ids['service /map']} -->|map| {box['<b>map/map_server']}\n" in mermaid
+    assert "server map: nav_msgs/srv/GetMap" in mermaid and "client map: nav_msgs/srv/GetMap" in mermaid
+
+
+def test_a_collapsed_namespace_counts_its_services_apart() -> None:
+    drawn = view(load_text(SERVING).require(), collapse=True)
+    (group,) = (box for box in drawn.boxes if box.kind == "group")
+    assert group.lines == ("2 nodes", "1 internal topics", "1 internal services")
+
+
 def loop(length: int) -> Specification:
     """A control loop of so many nodes, each fed by a sensor outside the loop."""
     text = ["system loop\ncontract D = std_msgs/msg/String\n"]
@@ -149,13 +230,14 @@ def test_names_of_any_kind_are_quoted() -> None:
 @pytest.mark.graphviz
 @pytest.mark.parametrize("annotate", [False, True])
 def test_graphviz_draws_it(annotate: bool) -> None:
-    for specification in (SAMPLE, loop(3), loop(9), fleet(3, 4), fleet(10, 15)):
+    for specification in (SAMPLE, load_text(SERVING).require(), loop(3), loop(9), fleet(3, 4), fleet(10, 15)):
         drawn = view(specification, annotate=annotate)
         done = subprocess.run(["dot", "-Tsvg"], input=to_dot(drawn).encode(), capture_output=True, check=True)
         assert done.stderr == b""
         svg = ElementTree.fromstring(done.stdout)
         shown = {element.text for element in svg.iter("{http://www.w3.org/2000/svg}text")}
-        assert {topic.name for topic in drawn.topics} <= shown
+        words = {"topic": "", "service": "service ", "action": "ROS action "}
+        assert {words[topic.kind] + topic.name for topic in drawn.topics} <= shown
         assert len(re.findall(rb'class="edge"', done.stdout)) == len(drawn.edges)
 
 

@@ -111,6 +111,30 @@ def test_another_contract_is_another_topic() -> None:
     )
 
 
+def test_services_and_their_ports_are_called_so() -> None:
+    served = """system s
+service /map : nav_msgs/srv/GetMap responds within 50 ms
+action /dock : nav2_msgs/action/Dock
+component A {
+  run "./a" gate preload
+  server map as get_map
+  action client dock : nav2_msgs/action/Dock
+  functionality f { produces map  mode on { guarantee map : nav_msgs/srv/GetMap responds within 50 ms }  mode off { } }
+}
+node a : A { map -> /map  dock <- /dock }
+"""
+    before = load_text(served).require()
+    faster = load_text(served.replace("50 ms", "20 ms").replace("as get_map", "as ~/map")).require()
+    without = load_text('system s\ncomponent A {\n  run "./a" gate preload\n}\nnode a : A').require()
+    words = [str(each) for each in differences(before, faster)]
+    assert any(each.startswith("service /map: changed\n") and "makes a new service:" in each for each in words)
+    assert any("\n  service of map: get_map -> ~/map" in each for each in words)
+    words = [str(each) for each in differences(before, without)]
+    assert words[:2] == ["service /map: removed", "ROS action /dock: removed"]
+    assert any("\n  server map: removed" in each and "\n  action client dock: removed" in each for each in words)
+    assert "topic" not in " ".join(words)
+
+
 @given(specifications(), specifications())
 def test_there_is_a_difference_iff_they_differ(one: Specification, other: Specification) -> None:
     assert differences(one, one) == []

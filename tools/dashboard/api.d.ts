@@ -1497,7 +1497,7 @@ declare namespace Api {
     topic?: string;
   }
 
-  /** A topic. `topic` is its name in ROS, which differs from `name` only while its contract is being changed. */
+  /** A topic, service or ROS action. `topic` is its name in ROS, which differs from `name` only while its contract is being changed. */
   interface TopicStatus {
     name: string;
     topic: string;
@@ -1506,8 +1506,9 @@ declare namespace Api {
     rate: number | null;
     /** its contract, in the manager's model */
     satisfied: boolean;
-    /** attached outputs, as `talker.out` */
+    /** attached outputs, as `talker.out`; of a service, its server */
     publishers: string[];
+    /** attached inputs; of a service, its clients */
     subscribers: string[];
     /** publishers outside the system, that the specification declares */
     outside: string[];

@@ -12,6 +12,8 @@ from midstride.cli.changed_programs import code_words, other_overlay
 from midstride.cli.input_files import as_typed_here
 from midstride.cli.render import UNKNOWN, hertz, seconds, table
 from midstride.codec.parameter import from_json
+from midstride.model.contract import connector_kind
+from midstride.model.wording import KIND_WORDS
 from midstride.runtime.backend_protocol import NAMES_ALL
 from midstride.runtime.records.status_forms import (
     ChangeLock,
@@ -107,12 +109,18 @@ def _topics(status: Status) -> Iterable[Text]:
     for topic in status.topics:
         # A topic that is satisfied without a publisher in scope is served by the environment.
         others = topic.others or OtherEndpoints(publishers=[], subscribers=[])
-        served = "the environment" if topic.satisfied else _outside(others.publishers) or "no publisher"
-        publishers = ", ".join(topic.publishers) or served
-        subscribers = ", ".join(topic.subscribers) or _outside(others.subscribers) or "no subscriber"
+        kind = connector_kind(topic.type)
+        words = KIND_WORDS[kind]
+        served = "the environment" if topic.satisfied else _outside(others.publishers) or f"no {words.provider}"
+        providers = ", ".join(topic.publishers) or served
+        users = ", ".join(topic.subscribers) or _outside(others.subscribers) or f"no {words.user}"
         style = "dim" if topic.satisfied else "yellow"
         remark = "" if topic.satisfied else "  (not satisfied)"
-        yield Text(f"{topic.name}: {publishers} → {subscribers}{remark}", style=style)
+        # Messages go to subscribers, requests to the server.
+        line = f"{topic.name}: {providers} → {users}"
+        if kind != "topic":
+            line = f"{words.connector} {topic.name}: {users} → {providers}"
+        yield Text(f"{line}{remark}", style=style)
 
 
 def _outside(nodes: Sequence[str]) -> str:

@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from html import escape
 from textwrap import wrap
 from typing import Final
 
-from midstride.generate.drawn_system import Box, Edge, Port, View
+from midstride.generate.drawn_system import Box, Edge, Port, TopicNode, View
 from midstride.generate.layout import GraphLayout, layout
+from midstride.model.contract import ConnectorKind
+from midstride.model.wording import KIND_WORDS
 
 _UNBREAKABLE: Final = re.compile(r"(?<=@) | (?=k?Hz)| (?==)|(?<==) ")
+_SHAPES: Final[Mapping[ConnectorKind, str]] = {"topic": "ellipse", "service": "hexagon", "action": "octagon"}
+_CONNECTOR_COLOURS: Final[Mapping[ConnectorKind, str]] = {"topic": "#ffffff", "service": "#f3e8fd", "action": "#f3e8fd"}
 _COLOURS: Final = {"node": "#e8f0fe", "group": "#e6f4ea", "environment": "#fef7e0"}
 
 
 def to_dot(view: View) -> str:
     """The view for Graphviz's ``dot``: boxes with ports, ovals for topics, dashed lines for the environment.
 
+    A service is a hexagon and a ROS action an octagon; their lines are dotted, and their arrows point at the server,
+    which is on the side of publishers all the same: what relies on another node is on the other side of it.
     Inputs are on the side where arrows come from: on the left, or at the top if the drawing runs down the page.
     """
     ids, laid = _ids(view), layout(view)
@@ -32,8 +39,9 @@ def to_dot(view: View) -> str:
         drawn[box.id] = f"[shape=plain, label=<{_table(box, laid)}>]"
     for topic in view.topics:
         note = f'<br/><font point-size="9" color="#5f6368">{_wrapped(topic.note)}</font>' if topic.note else ""
-        label = f"{escape(topic.name)}{note}"
-        style = 'shape=ellipse, style=filled, fillcolor="#ffffff", color="#5f6368", margin="0.05,0.03"'
+        label = f"{escape(_titled(topic))}{note}"
+        shape = f'shape={_SHAPES[topic.kind]}, style=filled, fillcolor="{_CONNECTOR_COLOURS[topic.kind]}"'
+        style = f'{shape}, color="#5f6368", margin="0.05,0.03"'
         drawn[topic.id] = f"[{style}, label=<{label}>]"
     lines += [f"  {ids[id]} {drawn[id]};" for id in laid.order]
     lines += [f"  {_dot_edge(edge, ids, laid)};" for edge in view.edges]
@@ -45,8 +53,9 @@ def _dot_edge(edge: Edge, ids: dict[str, str], laid: GraphLayout) -> str:
     out, into = ("s", "n") if laid.down else ("e", "w")
     start = ids[edge.start] + (f":{_quoted('out ' + edge.start_port)}:{out}" if edge.start_port else "")
     end = ids[edge.end] + (f":{_quoted('in ' + edge.end_port)}:{into}" if edge.end_port else "")
-    back = edge in laid.back
-    looks = [*(["dir=back"] if back else []), *(["style=dashed"] if edge.assumed else [])]
+    back, called = edge in laid.back, edge.kind != "topic"
+    style = ["style=dashed"] if edge.assumed else ["style=dotted"] if called else []
+    looks = [*(["dir=back"] if back != called else []), *style]
     return (f"{end} -> {start}" if back else f"{start} -> {end}") + (f" [{', '.join(looks)}]" if looks else "")
 
 
@@ -87,7 +96,7 @@ def _ports(ports: tuple[Port, ...], side: str, beside: bool) -> str:
         width = 20 if beside and len(ports) > 2 else 34
         note = f'<br/><font point-size="9" color="#5f6368">{_wrapped(port.note, width)}</font>' if port.note else ""
         attributes = f"port='{escape(side + ' ' + port.name)}' border='1' bgcolor='white'"
-        cells.append(f"<td {attributes}>{escape(port.name)}{note}</td>")
+        cells.append(f"<td {attributes}>{escape(_signed(port))}{note}</td>")
     rows = f"<tr>{''.join(cells)}</tr>" if beside else "".join(f"<tr>{cell}</tr>" for cell in cells)
     return f"<td><table border='0' cellborder='0' cellspacing='2' cellpadding='2'>{rows}</table></td>"
 
@@ -98,30 +107,49 @@ def _wrapped(text: str, width: int = 46, end: str = "<br/>") -> str:
     return end.join(map(escape, wrap(unbroken, width, break_long_words=False, break_on_hyphens=False)))
 
 
+def _titled(topic: TopicNode) -> str:
+    return topic.name if topic.kind == "topic" else f"{KIND_WORDS[topic.kind].connector} {topic.name}"
+
+
+def _signed(port: Port) -> str:
+    return port.name if port.kind == "topic" else f"⇄ {port.name}"
+
+
 def _quoted(text: str) -> str:
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 
 def to_mermaid(view: View) -> str:
-    """The view as a Mermaid flow chart, with ports as labels of the arrows."""
+    """The view as a Mermaid flow chart, with ports as labels of the arrows. Those of services point at the server."""
     ids = _ids(view)
     lines = ["flowchart TB" if layout(view).down else "flowchart LR"]
     for box in view.boxes:
         sides = ("in", box.inputs), ("out", box.outputs)
-        notes = [f"{side} {port.name}: {port.note}" for side, ports in sides for port in ports if port.note]
+        notes = [
+            f"{_side(side, port)} {port.name}: {port.note}" for side, ports in sides for port in ports if port.note
+        ]
         text = "<br/>".join([f"<b>{_mermaid(box.title)}</b>", *(_mermaid(line) for line in [*box.lines, *notes])])
         lines.append(f'  {ids[box.id]}["{text}"]:::{box.kind}')
     for topic in view.topics:
         note = f"<br/>{_mermaid(topic.note)}" if topic.note else ""
-        lines.append(f'  {ids[topic.id]}(["{_mermaid(topic.name)}{note}"]):::topic')
+        left, right = ("([", "])") if topic.kind == "topic" else ("{{", "}}")
+        lines.append(f'  {ids[topic.id]}{left}"{_mermaid(_titled(topic))}{note}"{right}:::{topic.kind}')
     for edge in view.edges:
         port = edge.start_port or edge.end_port
         arrow = "-.->" if edge.assumed else "-->"
         label = f"|{_mermaid(port)}|" if port else ""
-        lines.append(f"  {ids[edge.start]} {arrow}{label} {ids[edge.end]}")
+        start, end = (edge.start, edge.end) if edge.kind == "topic" else (edge.end, edge.start)
+        lines.append(f"  {ids[start]} {arrow}{label} {ids[end]}")
     lines += [f"  classDef {kind} fill:{colour},stroke:#5f6368" for kind, colour in _COLOURS.items()]
-    lines += ["  classDef topic fill:#ffffff,stroke:#5f6368", ""]
-    return "\n".join(lines)
+    kinds = {topic.kind: None for topic in view.topics} or {"topic": None}
+    lines += [f"  classDef {kind} fill:{_CONNECTOR_COLOURS[kind]},stroke:#5f6368" for kind in kinds]
+    return "\n".join([*lines, ""])
+
+
+def _side(side: str, port: Port) -> str:
+    """What a port is called beside its contract: ``in`` and ``out``, ``client`` and ``server``."""
+    words = KIND_WORDS[port.kind]
+    return side if port.kind == "topic" else words.output if side == "out" else words.input
 
 
 def _mermaid(text: str) -> str:

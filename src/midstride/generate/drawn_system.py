@@ -1,19 +1,21 @@
 """The component-and-connector view of a specification (the paper's figures 1 and 3), as values to draw.
 
-Nodes and guarantees of the environment are boxes, topics are the connectors between them. ``annotate`` adds contracts
-and modes; ``collapse`` draws the nodes of a namespace as one box.
+Nodes and guarantees of the environment are boxes, topics, services and ROS actions are the connectors between them.
+``annotate`` adds contracts and modes; ``collapse`` draws the nodes of a namespace as one box.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Final, Literal
 
 from midstride.model.component import ComponentSpec, Mode
-from midstride.model.contract import Predicate, satisfies
+from midstride.model.contract import ConnectorKind, Predicate, satisfies
 from midstride.model.specification import Specification
+from midstride.model.wording import KIND_WORDS
 
 # Systems with more nodes are drawn by namespace unless requested otherwise.
 READABLE: Final = 40
@@ -27,6 +29,7 @@ class Port:
 
     name: str
     note: str = ""
+    kind: ConnectorKind = "topic"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,17 +47,23 @@ class TopicNode:
     id: str
     name: str
     note: str = ""
+    kind: ConnectorKind = "topic"
 
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """From a box's port to a topic, from a topic to a box's port, or (``assumed``) from the environment to a box."""
+    """From a box's port to a topic, from a topic to a box's port, or (``assumed``) from the environment to a box.
+
+    That of a service or ROS action leads from the server, as that of a topic from the publisher, whatever way its
+    arrow points.
+    """
 
     start: str
     end: str
     start_port: str = ""
     end_port: str = ""
     assumed: bool = False
+    kind: ConnectorKind = "topic"
 
 
 @dataclass(slots=True)
@@ -98,8 +107,13 @@ class _Builder:
                 self.view.boxes.append(self._node(role))
         inside = self._attachments()
         for group, roles in groups.items():
-            hidden = inside.get(f"group {group}", 0)
-            lines = [f"{len(roles)} nodes"] + ([f"{hidden} internal topics"] if hidden else [])
+            hidden = inside.get(f"group {group}", Counter())
+            counts = [
+                f"{number} internal {words.connector}s"
+                for kind, words in KIND_WORDS.items()
+                if (number := hidden[kind])
+            ]
+            lines = [f"{len(roles)} nodes", *counts]
             self.view.boxes.append(Box(f"group {group}", group, "group", lines=tuple(lines)))
         self._environment()
         self.view.edges = list(self.edges)
@@ -117,42 +131,47 @@ class _Builder:
         return Box(
             f"node {role}",
             role if component.name.lower() == role.lower() else f"{role} : {component.name}",
-            inputs=tuple(Port(name, self._note(component.inputs[name])) for name in component.input_order),
+            inputs=tuple(
+                Port(name, self._note(component.inputs[name]), component.kind_of(name))
+                for name in component.input_order
+            ),
             outputs=tuple(self._output(component, name) for name in component.outputs),
             lines=tuple(lines),
         )
 
     def _output(self, component: ComponentSpec, name: str) -> Port:
         owner = component.find_owner(name)
-        return Port(name, self._note(owner.modes[0].guarantees.get(name)) if owner and owner.modes else "")
+        note = self._note(owner.modes[0].guarantees.get(name)) if owner and owner.modes else ""
+        return Port(name, note, component.kind_of(name))
 
     def _note(self, predicate: Predicate | None) -> str:
         return describe(predicate) if self.annotate and predicate is not None else ""
 
     # -- connections ---------------------------------------------------------------------------------------
 
-    def _attachments(self) -> dict[str, int]:
-        """Add topics and attachments; returns the number of topics that are entirely inside each group."""
+    def _attachments(self) -> dict[str, Counter[ConnectorKind]]:
+        """Add topics and attachments; returns the number of topics that are entirely inside each group, by kind."""
         ends: dict[str, list[tuple[str, str, bool]]] = {}
         for role in self.specification.roles():
             component = self.specification.component_of(role)
             for port, topic in self.specification.attachments_of(role):
                 ends.setdefault(topic, []).append((self.boxes[role], port.port, port.port in component.outputs))
         used_outside = {offer.topic for offer in self.specification.environment}
-        inside: dict[str, int] = {}
+        inside: dict[str, Counter[ConnectorKind]] = {}
         for name, connector in sorted(self.specification.connectors.items()):
             attached = ends.get(name, [])
             boxes = {box for box, _, _ in attached}
             if len(boxes) == 1 and name not in used_outside and next(iter(boxes)).startswith("group "):
-                inside[boxes.pop()] = inside.get(attached[0][0], 0) + 1
+                inside.setdefault(boxes.pop(), Counter())[connector.kind] += 1
                 continue
             note = self._note(connector.guarantee)
             if self.annotate and connector.kind == "topic" and connector.max_publishers is not None:
                 note += f", at most {connector.max_publishers} publisher{'' if connector.max_publishers == 1 else 's'}"
-            self.view.topics.append(TopicNode(f"topic {name}", name, note))
+            self.view.topics.append(TopicNode(f"topic {name}", name, note, connector.kind))
             for box, port_name, is_output in attached:
                 shown, topic = "" if box.startswith("group ") else port_name, f"topic {name}"
-                self.edges[Edge(box, topic, shown) if is_output else Edge(topic, box, end_port=shown)] = None
+                edge = Edge(box, topic, shown) if is_output else Edge(topic, box, end_port=shown)
+                self.edges[replace(edge, kind=connector.kind)] = None
         return inside
 
     def _environment(self) -> None:
@@ -161,7 +180,7 @@ class _Builder:
             box = Box(f"environment {offer.name}", offer.name, "environment", lines=lines)
             self.view.boxes.append(box)
             if offer.topic is not None:
-                self.edges[Edge(box.id, f"topic {offer.topic}")] = None
+                self.edges[Edge(box.id, f"topic {offer.topic}", kind=offer.guarantee.kind)] = None
                 continue
             for role in self.specification.roles():
                 if _assumed_by(self.specification.component_of(role), offer.guarantee):

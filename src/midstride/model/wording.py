@@ -18,12 +18,13 @@ class KindWords(NamedTuple):
     output: str
     input: str
     provider: str
+    user: str
 
 
 KIND_WORDS: Final[Mapping[ConnectorKind, KindWords]] = {
-    "topic": KindWords("topic", "output", "input", "publisher"),
-    "service": KindWords("service", "server", "client", "server"),
-    "action": KindWords("ROS action", "action server", "action client", "action server"),
+    "topic": KindWords("topic", "output", "input", "publisher", "subscriber"),
+    "service": KindWords("service", "server", "client", "server", "client"),
+    "action": KindWords("ROS action", "action server", "action client", "action server", "action client"),
 }
 
 

@@ -20,7 +20,7 @@ from midstride.model.component import (
     Resource,
     same_value,
 )
-from midstride.model.contract import format_number
+from midstride.model.contract import ConnectorKind, format_number
 from midstride.model.specification import Node, Specification
 from midstride.model.wording import KIND_WORDS
 
@@ -167,11 +167,15 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
     ):
         if old != new:
             yield _became(what, old, new)
-    yield from _named("input", before.inputs, after.inputs)
+    for kind, words in KIND_WORDS.items():
+        yield from _named(words.input, *(_of_kind(kind, each, each.inputs) for each in (before, after)))
     yield from _named("tolerates", before.tolerates, after.tolerates)
     yield from _named("condition", *(dict.fromkeys(sorted(each.conditions), "") for each in (before, after)))
-    yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
-    yield from _named("topic of", before.topics, after.topics)
+    for kind, words in KIND_WORDS.items():
+        outputs = (_of_kind(kind, each, dict.fromkeys(each.outputs, "")) for each in (before, after))
+        yield from _named(words.output, *outputs)
+    for kind, words in KIND_WORDS.items():
+        yield from _named(f"{words.connector} of", *(_of_kind(kind, each, each.topics) for each in (before, after)))
     yield from _named("lazy", *(dict.fromkeys(sorted(each.lazy), "") for each in (before, after)))
     yield from _named("holds", before.resource_usage, after.resource_usage)
     yield from _named("variable", *(_variables(each) for each in (before, after)))
@@ -305,6 +309,11 @@ def _rest(old: Specification, new: Specification) -> Iterator[Difference]:
             yield Difference(f"`{requirement}`", "added")
     if details := tuple(_named("step", old.timing, new.timing)):
         yield Difference("timing", "changed", details)
+
+
+def _of_kind(kind: ConnectorKind, component: ComponentSpec, values: Mapping[str, T]) -> dict[str, T]:
+    """``values`` of those ports of ``component`` that belong to a connector of that kind."""
+    return {port: value for port, value in values.items() if component.kind_of(port) == kind}
 
 
 def _named(what: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import click
@@ -44,7 +45,9 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
         show({"dot": text}, [text.removesuffix("\n")])
         return 0
     graphviz.write(output, lambda: to_dot(drawn), lambda: to_mermaid(drawn))
-    show({"file": str(output), "boxes": len(drawn.boxes), "topics": len(drawn.topics)}, [])
+    kinds = Counter("topics" if topic.kind == "topic" else "services" for topic in drawn.topics)
+    counts = {"boxes": len(drawn.boxes), "topics": kinds["topics"], "services": kinds["services"]}
+    show({"file": str(output), **counts}, [])
     return 0
 
 

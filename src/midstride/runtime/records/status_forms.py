@@ -231,15 +231,18 @@ class OtherEndpoints(Report, frozen=True, kw_only=True):
 
 
 class TopicStatus(Report, frozen=True, kw_only=True):
-    """A topic. `topic` is its name in ROS, which differs from `name` only while its contract is being changed."""
+    """A topic, service or ROS action.
+
+    `topic` is its name in ROS, which differs from `name` only while its contract is being changed.
+    """
 
     name: str
     topic: str
     type: str
     rate: Annotated[float | None, Meta(description="that its contract guarantees (Hz)")]
     satisfied: Annotated[bool, Meta(description="its contract, in the manager's model")]
-    publishers: Annotated[list[str], Meta(description="attached outputs, as `talker.out`")]
-    subscribers: list[str]
+    publishers: Annotated[list[str], Meta(description="attached outputs, as `talker.out`; of a service, its server")]
+    subscribers: Annotated[list[str], Meta(description="attached inputs; of a service, its clients")]
     outside: Annotated[list[str], Meta(description="publishers outside the system, that the specification declares")]
     others: Annotated[
         OtherEndpoints | UnsetType | None,

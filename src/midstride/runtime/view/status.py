@@ -63,8 +63,9 @@ async def other_endpoints(watched: WatchedSystem) -> dict[str, OtherEndpoints]:
     Empty where the graph cannot be looked at in time.
     """
     configuration = watched.system.configuration
-    unwritten = {name for name in configuration.context.connectors if not configuration.publishers_on(name)}
-    unheard = {name for name in configuration.context.connectors if not configuration.subscribers_on(name)}
+    names = [name for name, connector in configuration.context.connectors.items() if connector.kind == "topic"]
+    unwritten = {name for name in names if not configuration.publishers_on(name)}
+    unheard = {name for name in names if not configuration.subscribers_on(name)}
     topics = {name: configuration.topic(name) for name in unwritten | unheard}
     if not topics:
         return {}

@@ -7,7 +7,7 @@
 import { h, hz, plural, replace, seconds, valueText } from "./dom.js";
 import { endpointsContent, serviceContent } from "./endpoints.js";
 import { namesIn, owner } from "./graph/names.js";
-import { isService } from "./graph/services.js";
+import { endOf, isService, kindOf } from "./graph/services.js";
 import { componentLook, look } from "./modes.js";
 
 /**
@@ -68,7 +68,7 @@ export function mountDetails(element, context) {
 function content(name, view, context, reasons, redraw) {
   const title = h("p", { class: "panel-title" }, "Selected");
   if (name === null || view === null) {
-    return [title, h("p", { class: "muted" }, "Choose a component or a topic on the graph, or search with ", h("kbd", {}, "/"), ".")];
+    return [title, h("p", { class: "muted" }, "Choose a component, a topic or a service on the graph, or search with ", h("kbd", {}, "/"), ".")];
   }
   const close = h("button", { class: "button quiet", type: "button", "aria-label": "Clear the selection", "data-key": "close", onclick: () => context.store.select(null) }, "✕");
   if (name.startsWith("topic:")) return [title, ...topicContent(name.slice(6), view, context, close)];
@@ -237,17 +237,21 @@ function portRows(port, { store }) {
   ].filter(Boolean);
   const link =
     topic === null
-      ? h("span", { class: "muted" }, "attached to no topic")
+      ? h("span", { class: "muted" }, `attached to no ${kindOf(port.type)}`)
       : h("button", { class: "button quiet mono", type: "button", "data-key": `topic ${port.name} ${topic}`, onclick: () => store.select(`topic:${topic}`) }, topic);
+  const end = endOf(port); // of a service: nothing counts its requests
+  const figures = [
+    h("td", { class: "number", "data-kind": low ? "bad" : "" }, h("span", low ? { class: "mode-text" } : {}, port.rate === null ? "–" : `${low ? "▼ " : ""}${hz(port.rate)} Hz`)),
+    h("td", { class: "number" }, port.declared === null ? "–" : `${hz(port.declared)} Hz`),
+  ];
   return h(
     "tbody",
     {},
     h(
       "tr",
       {},
-      h("td", {}, `${port.direction === "in" ? "→" : "←"} ${port.name}`),
-      h("td", { class: "number", "data-kind": low ? "bad" : "" }, h("span", low ? { class: "mode-text" } : {}, port.rate === null ? "–" : `${low ? "▼ " : ""}${hz(port.rate)} Hz`)),
-      h("td", { class: "number" }, port.declared === null ? "–" : `${hz(port.declared)} Hz`),
+      h("td", {}, `${end !== "" ? "⇄" : port.direction === "in" ? "→" : "←"} ${port.name}`),
+      ...(end !== "" ? [h("td", { class: "muted", colspan: 2 }, end)] : figures),
     ),
     h(
       "tr",
@@ -296,7 +300,8 @@ function parametersContent({ parameters }) {
 function topicContent(name, view, { store }, close) {
   const topic = view.topics[name];
   if (isService(name)) return [heading(name, close), ...serviceContent(name, view, store)];
-  if (topic === undefined) return [heading(name, close), h("p", { class: "muted" }, "This topic is not there any more.")];
+  if (topic === undefined) return [heading(name, close), h("p", { class: "muted" }, "It is not there any more.")];
+  const kind = kindOf(topic.type);
   const ends = (/** @type {string} */ title, /** @type {string[]} */ ports) => [
     h("h3", {}, `${title} (${ports.length})`),
     h(
@@ -309,15 +314,15 @@ function topicContent(name, view, { store }, close) {
   ];
   return [
     heading(name, close),
-    h("p", { class: "muted" }, topic.type, topic.topic === name ? "" : ` · in ROS ${topic.topic}`),
+    h("p", { class: "muted" }, kind === "topic" ? "" : `${kind} · `, topic.type, topic.topic === name ? "" : ` · in ROS ${topic.topic}`),
     h(
       "p",
       { class: "banner", "data-kind": topic.satisfied ? "good" : "bad" },
       topic.satisfied ? "● contract satisfied" : "▲ contract not satisfied",
       topic.rate === null ? "" : `: ${hz(topic.rate)} Hz`,
     ),
-    ...ends("Publishers", topic.publishers),
-    topic.outside.length === 0 ? null : h("p", {}, `⇥ also published by ${plural(topic.outside.length, "node")} outside the system: ${topic.outside.join(", ")}`),
-    ...ends("Subscribers", topic.subscribers),
+    ...ends(kind === "topic" ? "Publishers" : "Server", topic.publishers),
+    topic.outside.length === 0 ? null : h("p", {}, `⇥ also ${kind === "topic" ? "published" : "served"} by ${plural(topic.outside.length, "node")} outside the system: ${topic.outside.join(", ")}`),
+    ...ends(kind === "topic" ? "Subscribers" : "Clients", topic.subscribers),
   ];
 }

@@ -8,8 +8,8 @@ import { h } from "./dom.js";
 
 const KEYS = [
   ["Tab, ← ↑ → ↓", "from one component to the next; the arrows reach topics too"],
-  ["Enter", "shows the details of a component or topic, opens or closes a group"],
-  ["/", "search for a component, topic or group"],
+  ["Enter", "shows the details of a component, topic or service, opens or closes a group"],
+  ["/", "search for a component, topic, service or group"],
   ["Esc", "clears the selection, and what is highlighted"],
   ["+ −", "zoom"],
   ["0", "shows the whole graph"],
@@ -29,7 +29,7 @@ const LEGEND = [
   ["▲", "something else is not as the specification says"],
   ["⊘", "the gate of an output is closed: its messages are held back"],
   ["⇥", "a topic that is published from outside the system too"],
-  ["⇄", "a service or ROS action; a dotted line leads to the components that have it"],
+  ["⇄", "a server or client of a service or ROS action; dotted lines lead from the server to the clients"],
   ["+ −", "a plan will create, or remove"],
   ["↓", "a plan lowers this functionality meanwhile"],
 ];

@@ -44,11 +44,11 @@ export function openSearch({ store, graph }) {
     h("input", {
       type: "text",
       role: "combobox",
-      "aria-label": "Search for a component or a topic",
+      "aria-label": "Search for a component, a topic or a service",
       "aria-expanded": "true",
       "aria-controls": "found",
       "aria-autocomplete": "list",
-      placeholder: "component or topic",
+      placeholder: "component, topic or service",
       autocomplete: "off",
       spellcheck: "false",
     })

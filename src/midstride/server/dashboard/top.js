@@ -5,6 +5,7 @@
  */
 
 import { clock, h, plural, replace, seconds } from "./dom.js";
+import { kindOf } from "./graph/services.js";
 import { openHelp } from "./help.js";
 import { componentLook } from "./modes.js";
 import { openSearch } from "./search.js";
@@ -71,7 +72,11 @@ function summaryOf(view) {
   const lowered = kinds.filter((kind) => kind === "reduced" || kind === "degraded").length;
   const silent = components.filter((each) => !each.reachable && !each.done).length;
   const low = components.flatMap((each) => each.ports).filter((port) => port.met === false).length;
-  const found = [{ kind: "", words: `${plural(components.length, "component")} · ${plural(Object.keys(view.topics).length, "topic")}` }];
+  const connectors = Object.values(view.topics);
+  const services = connectors.filter(({ type }) => kindOf(type) !== "topic").length;
+  const counts = [plural(components.length, "component"), plural(connectors.length - services, "topic")];
+  if (services > 0) counts.push(plural(services, "service"));
+  const found = [{ kind: "", words: counts.join(" · ") }];
   const add = (/** @type {number} */ count, /** @type {string} */ kind, /** @type {string} */ words) => {
     if (count > 0) found.push({ kind, words });
   };

@@ -5,6 +5,7 @@
  */
 
 import { h, replace, valueText } from "../dom.js";
+import { kindOf } from "../graph/services.js";
 
 /** @typedef {import("./request.js").Choice} Choice */
 
@@ -34,14 +35,15 @@ export class NewNodeFields {
     const found = specification?.components?.[component] ?? {};
     const ports = [...Object.keys(found.inputs ?? {}), ...(found.outputs ?? [])];
     const parameters = Object.entries(found.parameters ?? {});
+    const connectors = { ...specification?.topics, ...specification?.services, ...specification?.actions };
     const key = JSON.stringify([component, ports, parameters]);
-    replace(this.topics, ...Object.keys(specification?.topics ?? {}).sort().map((name) => h("option", { value: name })));
+    replace(this.topics, ...Object.keys(connectors).sort().map((name) => h("option", { value: name })));
     if (key === this.#drawn) return {};
     this.#drawn = key;
     this.#filled = { topics: {}, values: {} };
     replace(
       this.fields,
-      ...ports.flatMap((name) => this.#field("topics", name, `topic of ${name}`, "none")),
+      ...ports.flatMap((name) => this.#field("topics", name, `${kindOf(typeOf(found, name))} of ${name}`, "none")),
       ...parameters.flatMap(([name, each]) => this.#field("values", name, name, written(each))),
     );
     return this.#filled;
@@ -63,6 +65,16 @@ export class NewNodeFields {
     });
     return [h("span", {}, label), input];
   }
+}
+
+/**
+ * @param {Api.ComponentForm} component
+ * @param {string} port
+ * @returns {string | null} null for an output that guarantees nothing in any mode
+ */
+function typeOf({ inputs, functionalities }, port) {
+  const modes = Object.values(functionalities ?? {}).flatMap((each) => Object.values(each.modes));
+  return inputs?.[port]?.type ?? modes.map((each) => each.guarantees?.[port]?.type).find((type) => type) ?? null;
 }
 
 /** @param {unknown} declared a parameter's value, or an object with it */

@@ -7,7 +7,7 @@
 import { hz, s, set, setText } from "../dom.js";
 import { componentLook, deviates, look } from "../modes.js";
 import { componentSize, FIGURES, MODES_TOP, ROW, short, STUB } from "./measure.js";
-import { isService, rowLabel } from "./services.js";
+import { isService, isServiceRow, rowLabel } from "./services.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -105,7 +105,8 @@ export class ComponentShape {
    */
   #addPort(name, direction, x, y) {
     const incoming = direction === "in";
-    const mark = isService(name)
+    const service = isServiceRow(name, this.#drawn.entry);
+    const mark = service
       ? s("circle", { class: "port", cx: x, cy: y, r: 4.5 })
       : incoming
         ? s("path", { class: "port", d: `M${x - 9} ${y - 4.5}l9 4.5l-9 4.5z` })
@@ -121,7 +122,7 @@ export class ComponentShape {
     const group = s("g", { class: "figures" }, back, text);
     const wire = s("path", { class: "wire", d: incoming ? `M${x - FIGURES} ${y}H${x}` : `M${x} ${y}h${STUB}` });
     // What an output writes is measured at its topic; its gate is shown here.
-    const port = s("g", { class: isService(name) ? "port-row service" : "port-row", "data-direction": direction }, wire, mark, label, incoming ? group : null);
+    const port = s("g", { class: service ? "port-row service" : "port-row", "data-direction": direction }, wire, mark, label, incoming ? group : null);
     this.#inside.append(port);
     set(back, "x", middle);
     this.#ports.set(`${direction} ${name}`, { mark: port, figures: { group, text, back } });

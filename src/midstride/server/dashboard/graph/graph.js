@@ -264,7 +264,7 @@ export class Graph {
       this.#keep(before, group.id, sign, () => (group.collapsed ? new CollapsedGroup(group) : new OpenGroup(group)));
     }
     for (const topic of structure.topics) {
-      this.#keep(before, topic.id, JSON.stringify([topic.name, topic.rate]), () => new TopicShape(topic));
+      this.#keep(before, topic.id, JSON.stringify([topic.name, topic.rate, topic.kind]), () => new TopicShape(topic));
     }
     for (const each of structure.components) {
       this.#keep(before, each.id, signature(each.entry) + each.label + each.linked, () => new ComponentShape(each));

@@ -7,7 +7,6 @@
 import { plural, s, set, setText } from "../dom.js";
 import { stateOf } from "./component.js";
 import { linkKey } from "./ghosts.js";
-import { isService } from "./services.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -30,7 +29,7 @@ export class LinkShape {
   /** @param {DrawnLink} drawn */
   constructor(drawn) {
     this.drawn = drawn;
-    const kind = `link${drawn.bundle ? " bundle" : ""}${drawn.topics.every(isService) ? " service" : ""}`;
+    const kind = `link${drawn.bundle ? " bundle" : ""}${drawn.services === drawn.topics.length ? " service" : ""}`;
     this.#path = s("path", { class: drawn.bundle ? "line" : `${kind} line` });
     this.element = drawn.bundle ? s("g", { class: kind }, this.#path) : this.#path; // most are one path and no more
     if (drawn.bundle) {
@@ -70,7 +69,7 @@ export class LinkShape {
     set(this.element, "data-state", low > 0 ? "low" : closed === this.drawn.ends.length && closed > 0 ? "closed" : "met");
     set(this.element, "data-fate", fate);
     if (!this.drawn.bundle) return;
-    const text = low > 0 ? `▼ ${low}/${this.drawn.ends.length} low` : counted(this.drawn.topics);
+    const text = low > 0 ? `▼ ${low}/${this.drawn.ends.length} low` : counted(this.drawn);
     if (this.#label.textContent === text) return;
     setText(this.#label, text);
     const width = 12 + text.length * 5.7;
@@ -80,11 +79,10 @@ export class LinkShape {
 }
 
 /**
- * @param {string[]} topics and services
+ * @param {DrawnLink} drawn
  * @returns {string} as "3 topics, 1 service"
  */
-function counted(topics) {
-  const services = topics.filter(isService).length;
+function counted({ topics, services }) {
   const words = [plural(topics.length - services, "topic"), plural(services, "service")];
   return words.filter((each) => !each.startsWith("0 ")).join(", ");
 }

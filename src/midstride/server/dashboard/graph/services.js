@@ -1,7 +1,8 @@
 /**
  * Services and ROS actions on the graph: a row of each component that has one, and a shape between those that share one.
  *
- * They are drawn as ports and topics are, under names that no port or topic has: "service /map/save".
+ * Those that are ports are drawn as such, with the sign and the dotted lines of services. Others are drawn as ports and
+ * topics are, under names that no port or topic has: "service /map/save".
  *
  * @module
  */
@@ -52,14 +53,42 @@ export function isService(name) {
 }
 
 /**
+ * @param {string | null | undefined} type of a port or a topic, as "nav_msgs/srv/GetMap"
+ * @returns {"topic" | "service" | "ROS action"} what it belongs to
+ */
+export function kindOf(type) {
+  const folder = (type ?? "").split("/")[1];
+  return folder === "srv" ? "service" : folder === "action" ? "ROS action" : "topic";
+}
+
+/**
+ * @param {{type: string | null, direction: "in" | "out"}} port
+ * @returns {string} as "server", "action client"; "" for one of a topic
+ */
+export function endOf({ type, direction }) {
+  const kind = kindOf(type);
+  if (kind === "topic") return "";
+  return `${kind === "service" ? "" : "action "}${direction === "out" ? "server" : "client"}`;
+}
+
+/**
+ * @param {string} name of a port, or of a service that is drawn as one
+ * @param {Component} entry
+ * @returns {boolean}
+ */
+export function isServiceRow(name, entry) {
+  return isService(name) || entry.ports.some((port) => port.name === name && kindOf(port.type) !== "topic");
+}
+
+/**
  * What stands beside the sign of a port. A service of the node itself is written as in a specification.
  *
  * @param {string} name of a port, or of a service that is drawn as one
  * @param {Component} entry
- * @returns {string} as "out", "⇄ ~/reset", "⇄ /map/save"
+ * @returns {string} as "out", "⇄ map", "⇄ ~/reset", "⇄ /map/save"
  */
 export function rowLabel(name, entry) {
-  if (!isService(name)) return name;
+  if (!isService(name)) return isServiceRow(name, entry) ? `⇄ ${name}` : name;
   const full = name.replace(SERVICE, "");
   const own = `${entry.node ?? `/${entry.role}`}/`;
   return `⇄ ${full.startsWith(own) ? `~/${full.slice(own.length)}` : full}`;

@@ -8,7 +8,7 @@
  */
 
 import { groupsOf } from "./groups.js";
-import { serviceRows, sharedServices } from "./services.js";
+import { isService, kindOf, rowLabel, serviceRows, sharedServices } from "./services.js";
 
 /**
  * @typedef {import("../store.js").Component} Component
@@ -21,11 +21,11 @@ import { serviceRows, sharedServices } from "./services.js";
  *
  * @typedef {{id: string, name: string, label: string, group: string | null, ins: string[], outs: string[],
  *   linked: string[], entry: Component}} DrawnComponent  `linked`: its services that are shared
- * @typedef {{id: string, name: string, group: string | null, rate: number | null}} DrawnTopic
+ * @typedef {{id: string, name: string, group: string | null, rate: number | null, kind: ReturnType<typeof kindOf>}} DrawnTopic
  * @typedef {Group & {collapsed: boolean}} DrawnGroup
  * @typedef {{component: string, port: string, topic: string}} End  a port on a topic
  * @typedef {{id: string, from: string, fromPort: string | null, to: string, toPort: string | null, ends: End[],
- *   topics: string[], bundle: boolean}} DrawnLink
+ *   topics: string[], services: number, bundle: boolean}} DrawnLink  `services`: how many of `topics` are services
  * @typedef {{components: DrawnComponent[], topics: DrawnTopic[], groups: DrawnGroup[], links: DrawnLink[], key: string}} Structure
  */
 
@@ -65,17 +65,21 @@ export function structureOf(view, components, { grouping, isCollapsed }) {
     }
   }
 
+  /** @type {Map<string, string | null>} */ const types = new Map();
+  for (const { ports } of sorted) for (const { topic, type } of ports) if (topic !== null) types.set(topic, type);
   /** @type {DrawnTopic[]} */ const topics = [];
   /** @type {Map<string, DrawnLink>} */ const links = new Map();
   for (const [name, { outs, ins }] of ends) {
     const group = home(outs.length > 0 ? outs : ins, (end) => groupOf.get(end.component)?.id ?? null);
     const seen = [...outs, ...ins].some((end) => hidden(end.component) === null);
     const shown = !(group !== null && groups.get(group)?.collapsed) && (seen || outs.length + ins.length === 0);
-    if (shown) topics.push({ id: `t:${name}`, name, group, rate: view.topics[name]?.rate ?? null });
+    const kind = isService(name) ? "service" : kindOf(view.topics[name]?.type ?? types.get(name));
+    const service = kind !== "topic";
+    if (shown) topics.push({ id: `t:${name}`, name, group, rate: view.topics[name]?.rate ?? null, kind });
     const sources = shown ? [place(`t:${name}`, null)] : outs.map((end) => side(end, hidden));
     const targets = ins.map((end) => side(end, hidden));
-    if (shown) for (const end of outs) join(links, side(end, hidden), place(`t:${name}`, null), end, name);
-    for (const source of sources) ins.forEach((end, index) => join(links, source, targets[index], end, name));
+    if (shown) for (const end of outs) join(links, side(end, hidden), place(`t:${name}`, null), end, name, service);
+    for (const source of sources) ins.forEach((end, index) => join(links, source, targets[index], end, name, service));
   }
   const all = [...links.values()];
   return { components: drawn, topics, groups: [...groups.values()], links: all, key: keyOf(drawn, topics, groups, all) };
@@ -151,18 +155,21 @@ function side(end, hidden) {
  * @param {Place} to
  * @param {End} end whose figures the link shows
  * @param {string} topic
+ * @param {boolean} service whether it is one
  */
-function join(links, from, to, end, topic) {
+function join(links, from, to, end, topic, service) {
   if (from.node === to.node && from.port === null) return; // inside a collapsed group
   const id = `${from.node}${from.port === null ? "" : `.${from.port}`} > ${to.node}${to.port === null ? "" : `.${to.port}`}`;
   let link = links.get(id);
   if (link === undefined) {
     const bundle = from.node.startsWith("g:") || to.node.startsWith("g:");
-    link = { id, from: from.node, fromPort: from.port, to: to.node, toPort: to.port, ends: [], topics: [], bundle };
+    link = { id, from: from.node, fromPort: from.port, to: to.node, toPort: to.port, ends: [], topics: [], services: 0, bundle };
     links.set(id, link);
   }
   link.ends.push(end);
-  if (link.topics.at(-1) !== topic) link.topics.push(topic);
+  if (link.topics.at(-1) === topic) return;
+  link.topics.push(topic);
+  if (service) link.services += 1;
 }
 
 /**
@@ -181,8 +188,8 @@ function keyOf(components, topics, groups, links) {
       label,
       entry.component,
       group,
-      ins,
-      outs,
+      ins.map((name) => rowLabel(name, entry)),
+      outs.map((name) => rowLabel(name, entry)),
       entry.functionalities.map(({ name, modes }) => [name, modes]),
     ]),
     topics.map(({ name, group, rate }) => [name, group, rate]),

@@ -1,5 +1,5 @@
 /**
- * The shape of a topic: its name, and the rate that is measured and the one that its contract guarantees.
+ * The shape of a topic or service: its name, and the rate that is measured and the one that its contract guarantees.
  *
  * @module
  */
@@ -23,15 +23,16 @@ export class TopicShape {
   /** @type {SVGElement} */ #figures;
 
   /** @param {DrawnTopic} drawn */
-  constructor({ name, rate }) {
+  constructor({ name, rate, kind }) {
     const { width, height } = topicSize(name, rate);
     this.name = name;
     this.rate = rate;
+    this.kind = kind;
     this.#flag = s("text", { class: "flag", x: 7, y: height / 2 + 4 });
     this.#figures = s("text", { class: "figures-text", x: width / 2, y: 28, "text-anchor": "middle" });
     this.element = s(
       "g",
-      { class: isService(name) ? "topic service" : "topic", role: "button", tabindex: "-1", "data-topic": name },
+      { class: kind === "topic" ? "topic" : "topic service", role: "button", tabindex: "-1", "data-topic": name },
       s("rect", { class: "halo", x: -4, y: -4, width: width + 8, height: height + 8, rx: 15 }),
       s("rect", { class: "pill", width, height, rx: 11 }),
       s(
@@ -62,10 +63,10 @@ export class TopicShape {
     set(this.element, "data-state", state);
     setText(this.#flag, satisfied ? (outside.length > 0 ? "⇥" : "") : "▲");
     if (detail !== "shapes") setText(this.#figures, state === "closed" ? "⊘ closed" : `${state === "low" ? "▼ " : ""}${measured}${rate}`);
-    const words = [isService(this.name) ? this.name : `topic ${this.name}`];
+    const words = [isService(this.name) ? this.name : `${this.kind} ${this.name}`];
     if (topic !== undefined) {
       words.push(topic.type, satisfied ? "contract satisfied" : "contract not satisfied");
-      if (outside.length > 0) words.push(`also published from outside by ${outside.join(", ")}`);
+      if (outside.length > 0) words.push(`also ${this.kind === "topic" ? "published" : "served"} from outside by ${outside.join(", ")}`);
     }
     set(this.element, "aria-label", words.join("; "));
   }
