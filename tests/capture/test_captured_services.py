@@ -150,7 +150,7 @@ def test_a_client_of_another_type_and_a_call_to_itself_rely_on_nothing(tmp_path:
 
 @pytest.mark.parametrize("gate", ["gate relay", "gate none", "gate lifecycle", ""])
 def test_without_the_library_a_node_gets_its_topics_alone(tmp_path: Path, gate: str) -> None:
-    """Nothing would hand its requests over, and E027 refuses some of them."""
+    """Nothing would hand its requests over, or E027 refuses them, or more than one functionality."""
     text = FILE.replace('run "docking --ros-args -r get_map:=/maps/map" gate preload', f'run "docking" {gate}')
     found = inserted(robot().observed(), text)
     system = checked(found.text, tmp_path)
