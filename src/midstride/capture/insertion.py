@@ -173,7 +173,10 @@ class _Inserter:
 
     def _services(self, nodes: list[tuple[NodeDeclaration, str, ComponentDeclaration]]) -> frozenset[ObservedEndpoint]:
         """The servers and clients that become ports: those that are relied on, and the same ones of nodes that share a
-        component with theirs. Only `gate preload` and `gate lifecycle preload` hand requests over, and allow several functionalities."""
+        component with theirs.
+
+        Only `gate preload` and `gate lifecycle preload` hand requests over, and allow several functionalities.
+        """
         here = {full: component for _, full, component in nodes if self._is_preloaded(component)}
         system = {full for full in self.names.values() if not self._is_left_out(full)}
         found = relied_on(self.graph, here, system, self._declared_topics("service", "action"))
