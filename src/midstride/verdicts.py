@@ -304,6 +304,17 @@ def goals_go_on(instance: str, actions: Sequence[str], patience: float) -> Asses
     return Assessment(instance, "not_measurable", words)
 
 
+def goals_finish_at(instance: str, actions: Sequence[str], patience: float) -> Assessment:
+    """Goals that a server with Midstride's API has accepted stay with it, and what is asked later does not reach it."""
+    words = (
+        f"goals of others that are under way at {listed(actions)}: they go on at {instance}, which runs beside its "
+        f"replacement until they have ended, for at most {patience:g} s; what is left then ends with it. A request to "
+        f"cancel one, or for its result, that is sent after the change-over is answered by the replacement, which does "
+        f"not know the goal"
+    )
+    return Assessment(instance, "not_measurable", words)
+
+
 def goals_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> Assessment:
     """The goals that a component with Midstride's API has accepted do not move to its successor."""
     verb = "ended" if not planned else "end"
@@ -422,6 +433,14 @@ def silent_for_state(old: str, new: str, topics: Sequence[str], seconds: float) 
 def state_left_behind(old: str, new: str, because: str) -> Assessment:
     """A plan replaces a node that exports its state, and the state does not move."""
     return Assessment(new, "lost", f"the state of {old} is lost: {because}")
+
+
+def state_behind_relay(old: str, new: str) -> Assessment:
+    """No state moves from a node behind a relay, of which it is not known whether it offers any."""
+    words = (
+        f"the state of {old}: behind `gate relay`, no state moves, and it is not looked at whether the node offers any"
+    )
+    return Assessment(new, "not_measurable", words)
 
 
 def was_silent_for_state(new: str, words: str, seconds: float) -> Assessment:

@@ -75,15 +75,21 @@ def test_a_plan_counts_the_time_until_a_process_is_killed_as_its_component_state
 
 
 def replacement(
-    strategy: str = "minimal", contract: Predicate = NEED, gate: Gate = "preload", stop: StopTimes | None = None
+    strategy: str = "minimal",
+    contract: Predicate = NEED,
+    gate: Gate | None = "preload",
+    stop: StopTimes | None = None,
+    new_gate: Gate | None = "preload",
 ) -> Plan:
-    """Of a node behind ``gate``, which states ``stop``, by one behind `gate preload`, for which there is room."""
+    """Of a node behind ``gate``, which states ``stop``, by one behind ``new_gate``, for which there is room."""
     parts = [replace(work(name, outputs=["out"]), startup_seconds=None, gate="preload") for name in ("Old", "New")]
     modes = (Mode("normal", (), Map(out=contract)), Mode("degraded"))
     made = Map(work=FunctionalitySpec("work", modes, (), ("out",)))
     before, after = (replace(each, functionalities=made) for each in parts)
     start = system(
-        [replace(before, gate=gate, stop=stop), after], {"a": ("Old", {"out": "/A"})}, topics={"/A": contract}
+        [replace(before, gate=gate, stop=stop), replace(after, gate=new_gate)],
+        {"a": ("Old", {"out": "/A"})},
+        topics={"/A": contract},
     )
     start = replace(start, timing=Map(probation=0.0))
     return planner(strategy)(change_between(initial(start), start, start.with_replaced("a", "New"), {}))

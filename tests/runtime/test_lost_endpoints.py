@@ -12,12 +12,20 @@ from midstride.backends.simulator import Simulator
 from midstride.lang.load import load_text
 from midstride.model.action import Create, Remove
 from midstride.model.component import ComponentSpec, Gate, NodeEndpoint
+from midstride.model.contract import Predicate
 from midstride.model.specification import initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.plan.strategies.registry import STRATEGIES, planner
-from midstride.runtime.change.lost_endpoints import _as_planned, two_writers, unseen_endpoints, what_ended
+from midstride.runtime.change.lost_endpoints import (
+    _as_planned,
+    lost_endpoints,
+    two_writers,
+    unseen_endpoints,
+    what_ended,
+)
+from midstride.runtime.change.planned_transfers import planned_transfers
 from midstride.runtime.change.successor_names import names_after, names_now
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.manager import Manager
@@ -27,6 +35,7 @@ from midstride.verdicts import Assessments
 from midstride.wire.state import Endpoint, UndeclaredTopic
 from tests.acceptance.foreign_support import declared_talker
 from tests.plan.cases import replacing
+from tests.plan.test_estimates import replacement
 from tests.runtime.systems import example, managed
 from tests.wire.bare_state import bare_state
 
@@ -266,3 +275,30 @@ def test_plan_and_report_say_the_name_of_the_replacement_and_how_long_none_answe
         else:
             assert "mapper had ended before mapper_2 was started, so none was answered for 12.0 s" in words
     assert not list(names_now(plan, states, {})), "it was not carried out"
+
+
+def test_a_plan_says_for_how_long_the_goals_of_a_server_with_the_api_go_on() -> None:
+    def said(gate: Gate | None, strategy: str = "minimal") -> list[str]:
+        goals = replacement(strategy, Predicate("test_msgs/action/Fibonacci"), gate, new_gate=gate)
+        return [each.words for each in lost_endpoints(goals, {}, {}) if "goals of others" in each.words]
+
+    (words,) = said(None)
+    assert words == (
+        "goals of others that are under way at ROS action /A: they go on at a, which runs beside its replacement until "
+        "they have ended, for at most 60 s; what is left then ends with it. A request to cancel one, or for its "
+        "result, that is sent after the change-over is answered by the replacement, which does not know the goal"
+    )
+    assert said("preload") == said(None, "stop") == []
+
+
+def test_no_state_moves_from_or_to_a_node_behind_a_relay() -> None:
+    def said(old: Gate, new: Gate) -> list[str]:
+        latest = LatestState(bare_state("a", node="/a", keeps_state=True), 0.0)
+        found = planned_transfers(replacement(gate=old, new_gate=new), {"a": latest})
+        return [each.words for each in found]
+
+    words = "the state of a: behind `gate relay`, no state moves, and it is not looked at whether the node offers any"
+    assert said("relay", "relay") == said("relay", "preload") == [words]
+    assert said("preload", "relay") == ["the state of a is lost: behind `gate relay`, no state moves"]
+    (words,) = said("preload", "preload")
+    assert "relay" not in words

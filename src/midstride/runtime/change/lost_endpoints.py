@@ -13,7 +13,7 @@ from msgspec import structs
 
 from midstride import verdicts
 from midstride.model.action import Create, Remove
-from midstride.model.component import ComponentSpec
+from midstride.model.component import DEFAULT_STOP, ComponentSpec
 from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
@@ -44,9 +44,21 @@ def lost_endpoints(
                 found, role = plan.change.instance(name), plan.change.role_of(name)
                 known = LastKnown(states.get(name), endpoints.get(name, ()))
                 beside = created.get(role)
+                yield from _goals_of_ports(plan, name, found.component, beside)
                 yield from what_ended(name, found.component, known, planned=True, new=unseen, beside=beside)
                 if beside is not None:
                     yield from two_writers(role, known, found.component, beside)
+
+
+def _goals_of_ports(
+    plan: Plan, name: str, component: ComponentSpec, beside: ComponentSpec | None
+) -> Iterator[verdicts.Assessment]:
+    """The ROS actions whose servers are ports of the instance ``name``, where it has the API and its successor too."""
+    if component.gate is None and beside is not None and beside.gate is None:
+        attached = plan.change.start.attached_ports(name)
+        kinds = {port: component.kind_of(port) for port in component.outputs}
+        if actions := sorted(f"{ACTION}{served}" for port, served in attached if kinds.get(port.port) == "action"):
+            yield verdicts.goals_finish_at(name, actions, DEFAULT_STOP.patience)
 
 
 def unseen_endpoints(plan: Plan) -> Iterator[verdicts.Assessment]:

@@ -32,16 +32,21 @@ def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator
             case Remove(name) if change.replaced.get(name) not in created:
                 removed_first.add(name)
     swaps = [swap for step in plan.steps if isinstance(step.action, Handover) for swap in step.action.swaps]
+    yield from states_behind_relays(plan)
     connectors = {**change.start.context.connectors, **change.target.connectors}
     for old, new in change.replaced.items():
         latest = states.get(old)
         before, after = change.component_of(old), change.component_of(new)
         kinds = {before.gate is None, after.gate is None}
+        if before.gate == "relay":  # which answers for its program, and not of its state
+            continue
         if latest is None or not latest.state.keeps_state or kinds == {True}:
             continue
         if len(kinds) == 2:
             because = f"one of {old} and {new} uses Midstride's API, and the other one does not"
             yield verdicts.state_left_behind(old, new, because)
+        elif after.gate == "relay":
+            yield verdicts.state_left_behind(old, new, "behind `gate relay`, no state moves")
         elif old not in removed_first and "none" in (before.gate, after.gate):
             because = "with `gate none`, nothing holds a node back while its state moves; `--strategy paper` moves it"
             yield verdicts.state_left_behind(old, new, because)
@@ -49,6 +54,14 @@ def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator
             own = {connectors[swap.connector] for swap in swaps if swap.old.instance == old}
             topics = sorted(each.topic for each in own if each.kind == "topic")
             yield verdicts.silent_for_state(old, new, topics, STATE_TIMEOUT)
+
+
+def states_behind_relays(plan: Plan) -> Iterator[verdicts.Assessment]:
+    """The nodes behind a relay that ``plan`` replaces, or has replaced: if they have state, it does not move."""
+    for old, new in plan.change.replaced.items():
+        before = plan.change.component_of(old)
+        if before.gate == "relay" and not before.once:
+            yield verdicts.state_behind_relay(old, new)
 
 
 def silences_for_state(outcome: Outcome, now: Configuration) -> Iterator[verdicts.Assessment]:
