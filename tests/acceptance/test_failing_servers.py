@@ -27,7 +27,7 @@ from tests.backends.ros2_support import run
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
-# Once it answers, it fails with the first request.
+# Once it answers, it fails with the first request; one that is late talks on meanwhile.
 FAILING: Final = (
     SERVER.replace("    if request.depth:", "    fail()\n    if request.depth:")
     .replace(
@@ -43,6 +43,12 @@ FAILING: Final = (
 def talk():""",
     )
     .replace("import os\n", "import os\nimport sys\n")
+    .replace(', "count", count)', ', "count", count, callback_group=ReentrantCallbackGroup())')
+    .replace("rclpy.spin(node)", "rclpy.spin(node, MultiThreadedExecutor(8) if sys.argv[1] == 'late' else None)")
+    .replace(
+        "from rclpy.executors import ",
+        "from rclpy.callback_groups import ReentrantCallbackGroup\nfrom rclpy.executors import MultiThreadedExecutor, ",
+    )
 )
 TEXT = """system failing
 timing { watch_after 4 s }
