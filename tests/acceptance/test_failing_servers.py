@@ -98,17 +98,17 @@ async def served_by(system: Robot, calls: Calls) -> str:
     return name
 
 
-def judge(calls: Calls, failed: set[str], killed: int = 0) -> None:
+def judge(calls: Calls, failed: set[str], ends: int = 0) -> None:
     """Each request was handled once at most, and each that was not answered by one that failed.
 
-    Of each one that was killed, a request for each client may be lost that it has not noted.
+    At each of so many ``ends`` of a server that answered, a request of each client may be lost that none has noted.
     """
     assert not calls.handled_twice
     handled = dict(calls.handled)
     lost = [each.name for each in calls.unanswered]
     print(f"{len(calls.answered)} requests, {len(lost)} not answered: {[(name, handled.get(name)) for name in lost]}")
     unnoted = [name for name in lost if handled.get(name) not in failed]
-    assert len(unnoted) <= NUMBER * killed, unnoted
+    assert len(unnoted) <= NUMBER * ends, unnoted
     assert all(each.server == handled[each.name] for each in calls.answered if each.server != "-")
 
 
@@ -187,6 +187,11 @@ class Killer:
             os.kill(handle.pid, signal.SIGKILL)
             self.killed.add(victim)
 
+    @property
+    def has_killed(self) -> bool:
+        """Return whether the last change came to its point."""
+        return self._point is None
+
     async def restart(self, system: Robot, point: tuple[str, str, str] | None) -> Outcome:
         self._system, self._point, self._old = system, point, instances(system)[0]
         self.commands = []
@@ -201,23 +206,30 @@ class Killer:
 def test_one_serves_on_when_the_other_is_killed_at_any_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str
 ) -> None:
-    """At the first of each command that the new one gets in a whole change, before and after it."""
+    """At the first of each command that the new one gets in a whole change, before and after it.
+
+    Where the new one dies before it has taken over, no request is lost.
+    """
     killer = Killer(monkeypatch)
 
     async def scenario() -> None:
+        ends, reached = 0, set[str]()
         async with failing(tmp_path, watch_after=0) as (system, calls):
             assert (await killer.restart(system, None)).outcome == "done"
             points = [(victim, name, when) for name in dict.fromkeys(killer.commands) for when in ("before", "after")]
-            assert {"answer", "cut_in"} <= {name for _, name, _ in points}
             for point in points:
                 await served_by(system, calls)
-                killed = len(killer.killed)
                 report = await killer.restart(system, point)
-                print(point, len(killer.killed) > killed, report.outcome, report.because)
+                print(point, report.outcome, report.because)
+                if not killer.has_killed:  # a command that not every change needs
+                    continue
+                reached.add(point[1])
+                ends += victim == "old" or report.outcome == "done"
                 if not instances(system):  # the one that was to be kept is the one that was killed
                     await system.meanwhile(system.manager.change(PlanRequest(restart=("talker",))))
             await served_by(system, calls)
-        judge(calls, killer.killed, killed=len(killer.killed))
+        assert reached >= {"cut_in", "await_cut", "answer"}
+        judge(calls, killer.killed, ends)
 
     with ended():
         run(scenario(), 1200)

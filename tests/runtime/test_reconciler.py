@@ -73,6 +73,18 @@ def test_a_crash_takes_the_instance_out_of_the_model_and_lowers_what_relied_on_i
     reconciling(talking(), tmp_path, body)
 
 
+def test_of_one_that_the_model_has_no_more_the_connection_is_given_up(tmp_path: Path) -> None:
+    """As of the old instance of a change that ended meanwhile: another process may get its name."""
+
+    async def body(r: ReconcilingBench) -> None:
+        r.system.moved(talking().without_instance("talker"))
+        r.exits(TALKER_EXITED)
+        await moment()
+        assert r.client.disconnected == ["talker"]
+
+    reconciling(talking(), tmp_path, body)
+
+
 def test_what_nothing_relies_on_lowers_nothing(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
         r.exits(Exited("listener", None))

@@ -228,8 +228,9 @@ class Reconciler:
             configuration = self.system.configuration
             exits = self.system.life.exits
             crashed = self.system.life.take_exited(configuration.instances)
-            for name in crashed:
+            for name in exits:  # also one that the model has no more: another process may get its name
                 self.client.disconnect(name)
+            for name in crashed:
                 self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.system.life)
             configuration, touched, because = self._take_over_reported(configuration)
