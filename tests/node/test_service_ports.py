@@ -55,8 +55,12 @@ class Service:
         self.calls.append(asyncio.get_running_loop().create_future())
         return cast(asyncio.Future[Any], self.calls[-1])
 
+    def unsent(self) -> asyncio.Future[Any]:
+        return asyncio.get_running_loop().create_future()
+
     def abandon(self, future: Any, error: Exception) -> None:
-        future.set_exception(error)
+        if not future.done():
+            future.set_exception(error)
 
     def matched(self) -> int:
         return int(self.there)
@@ -393,6 +397,45 @@ def test_a_request_that_takes_longer_than_its_bound_ends() -> None:
         with pytest.raises(Unanswered, match="has not been answered"):
             await second
         assert looked(client, host, 0.3 + OVERDUE) is None  # it is not asked any more
+
+    run(scenario())
+
+
+def test_requests_wait_until_their_server_has_been_discovered() -> None:
+    async def scenario() -> None:
+        host = ServiceHost()
+        client = attached(host)
+        [service] = host.made
+        service.there = False
+        calls = [client.call_async(Trigger.Request()) for _ in range(2)]
+        assert looked(client, host, 2.0 + OVERDUE) is None and not service.calls  # their bound has not begun
+        service.there = True
+        calls.append(client.call_async(Trigger.Request()))
+        assert not service.calls, "it does not overtake those before it"
+        assert looked(client, host, 4.5) is None and len(service.calls) == 3
+        for number, response in enumerate(service.calls[:2]):
+            response.set_result(number)
+        assert [await call for call in calls[:2]] == [0, 1]
+        assert looked(client, host, 4.7 + OVERDUE) is not None
+        with pytest.raises(Unanswered, match=r"has not been answered for 2\.2 s"):
+            await calls[2]
+        assert service.calls[2].exception() is not None
+
+    run(scenario())
+
+
+def test_a_request_whose_server_never_comes_ends_unsent() -> None:
+    async def scenario() -> None:
+        host = ServiceHost()
+        client = attached(host)
+        host.made[0].there = False
+        call = client.call_async(Trigger.Request())
+        assert looked(client, host, 0.0) is None
+        assert looked(client, host, NEVER_SEEN + 0.1) is not None
+        with pytest.raises(Unanswered, match="has had no server"):
+            await call
+        host.made[0].there = True
+        assert looked(client, host, NEVER_SEEN + 0.2) is None and not host.made[0].calls
 
     run(scenario())
 

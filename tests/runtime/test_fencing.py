@@ -58,6 +58,25 @@ talk.set_normal_mode(say, rate=10, outputs=[out])
 talk.set_degraded_mode(lambda: None)
 comp.start()
 """
+# A talker whose mode never ends: a loop that awaits.
+_LOOPING = """
+import sys
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("talker")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+
+async def say():
+    while True:
+        out.write(String(data=sys.argv[1]))
+        await comp.clock.sleep(0.1)
+
+talk.set_normal_mode(say, outputs=[out], guarantees={out: 10})
+talk.set_degraded_mode(lambda: None)
+comp.start()
+"""
 _LISTENER = """
 import time
 from midstride import Component
@@ -170,6 +189,20 @@ def test_a_publisher_that_hangs_is_replaced(strategy: str, tmp_path: Path) -> No
     hanging(tmp_path, body)
 
 
+def test_one_whose_mode_never_ends_and_is_not_left_hands_over(tmp_path: Path) -> None:
+    (tmp_path / "looping.py").write_text(_LOOPING)
+
+    async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
+        await asyncio.sleep(10)
+        [said] = [each for each in (await manager.plan(replace("talker", "New"))).remarks if "hangs" in each]
+        assert said.endswith("where it has to wait for that, it is fenced after 5 s (`--wait`), and ended")
+        outcome = await replaced(manager)
+        assert (outcome.outcome, outcome.because, outcome.fenced) == ("done", None, [])
+        assert list(dict.fromkeys(heard.words())) == ["loop", "new"]
+
+    hanging(tmp_path, body, Old=_talker() | {"run": "python3 looping.py loop"})
+
+
 def test_the_plan_says_how_much_longer_one_that_hangs_takes(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator, heard: Heard) -> None:
         request = replace("talker", "New")
@@ -180,7 +213,8 @@ def test_the_plan_says_how_much_longer_one_that_hangs_takes(tmp_path: Path) -> N
         longer = DEFAULT_WAIT + STOP_GRACE
         assert re.fullmatch(
             rf"talker hangs: a call of its code has not returned for \d+ s; unless it returns, the change takes up to "
-            rf"{longer:g} s longer: it is fenced after {DEFAULT_WAIT:g} s \(`--wait`\), and ended",
+            rf"{longer:g} s longer: where it has to wait for that, it is fenced after {DEFAULT_WAIT:g} s \(`--wait`\), "
+            rf"and ended",
             said,
         )
         begun = simulator.clock.steady()

@@ -86,11 +86,14 @@ class CalledService(Protocol):
     def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
         """Send ``request``; the platform's future of the response. Of a ROS action, a goal and its handle."""
 
+    def unsent(self) -> Any:
+        """A future of the platform for what is sent later."""
+
     def abandon(self, future: Any, error: Exception) -> None:
         """Wait for this response no longer: the future ends with ``error``."""
 
     def matched(self) -> int:
-        """1 where the graph shows a server, else 0. On the control thread."""
+        """1 where a server has been discovered, else 0. On either thread."""
 
     def destroy(self) -> None: ...
 

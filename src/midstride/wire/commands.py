@@ -178,9 +178,13 @@ class CountWritesCommand(Command[CountedWrites], frozen=True, kw_only=True, tag=
 
 
 class AwaitIdleCommand(Command[Idle], frozen=True, kw_only=True, tag="await_idle"):
-    """Wait until user code has returned, so that the data thread is free."""
+    """Wait until user code has returned, so that the data thread is free.
+
+    ``leaving``: the functionalities that are to leave their modes, which an async call begun on entry prevents, too.
+    """
 
     kind = "reading"
+    leaving: list[str] = []
 
 
 class DiscoverCommand(Command[Discovered], frozen=True, kw_only=True, tag="discover"):

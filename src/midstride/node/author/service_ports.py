@@ -12,7 +12,9 @@ import asyncio
 import inspect
 import itertools
 from collections.abc import Callable
-from typing import Any, ClassVar, Final, NamedTuple, TypeAlias
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar, Final, TypeAlias
 
 from midstride.errors import NodeError, Unanswered
 from midstride.model.contract import DEFAULT_QOS, Predicate, connector_kind, format_number
@@ -245,11 +247,29 @@ class ClientLink(InputLink):
         self.endpoint = self.service = client.make(host, topic)
 
 
-class _Call(NamedTuple):
+@dataclass(slots=True)
+class _Call:
+    """A request whose response is waited for. ``send`` sends it, and returns a future; None once it was sent."""
+
     future: Any
     service: CalledService
-    since: int  # steady ns
     bounded: bool  # the bound of the client holds for it
+    since: int | None = None  # steady ns; None until it was sent
+    send: Callable[[], Any] | None = None
+    response: Any = None  # the future that `send` has returned
+
+    def pass_on(self, response: Any) -> None:
+        """End the future as ``response`` has ended, which `send` had returned."""
+        error, done = response.exception(), self.future.done()
+        if error is not None and not done:
+            self.future.set_exception(error)
+        elif not done:
+            self.future.set_result(response.result())
+
+    def abandon(self, error: Exception) -> None:
+        if self.response is not None:
+            self.service.abandon(self.response, error)
+        self.service.abandon(self.future, error)
 
 
 class ClientPort(Input):
@@ -267,6 +287,7 @@ class ClientPort(Input):
         self._calls: dict[int, _Call] = {}  # by number, in order
         self._numbers = itertools.count()
         self._seen = False
+        self._there = False  # when it was looked last
         self._absent_since: int | None = None  # steady ns
         self._counted_from = 0  # what was waited for before does not count (steady ns)
         # Runs on the data thread as soon as that is free: until then, a response may wait there.
@@ -279,8 +300,9 @@ class ClientPort(Input):
 
         Where the response does not come, since the server has gone or takes too long, the future ends with
         ``midstride.Unanswered``, and the functionality goes to a mode that does not assume the client
-        (docs/protocols/reflex.md). An async mode need not catch that. Call it on the thread of the modes. Raises
-        NodeError while it is attached to no service, or if ``request`` is not of its type.
+        (docs/protocols/reflex.md). An async mode need not catch that. A request waits here until the server has been
+        discovered: ROS loses what is sent before. Call it on the thread of the modes. Raises NodeError while it is
+        attached to no service, or if ``request`` is not of its type.
         """
         return self._send("call_async", request)
 
@@ -296,20 +318,38 @@ class ClientPort(Input):
         link = next((link for link in self.links if isinstance(link, ClientLink)), None)
         if link is None:
             raise NodeError(f"client {self.name} is attached to no service; call it in a mode that assumes it")
-        return self._awaited(link, link.service.call(request, *more))
+        send = partial(link.service.call, request, *more)
+        if self._waits or not (self._there or link.service.matched()):
+            return self._awaited(link, _Call(link.service.unsent(), link.service, True, send=send))
+        return self._sent(link, send())
 
-    def _awaited(self, link: ClientLink, future: Any, bounded: bool = True) -> Any:
-        """Note that ``future`` is waited for, and return it."""
+    def _sent(self, link: ClientLink, future: Any, bounded: bool = True) -> Any:
         assert self._host is not None
+        return self._awaited(link, _Call(future, link.service, bounded, self._host.steady()))
+
+    def _awaited(self, link: ClientLink, call: _Call) -> Any:
+        """Note ``call``, and return its future."""
         number = next(self._numbers)
-        self._calls[number] = _Call(future, link.service, self._host.steady(), bounded)
+        self._calls[number] = call
 
         def done(_: Any) -> None:
             if self._calls.pop(number, None) is not None:
                 link.count += 1
 
-        future.add_done_callback(done)
-        return future
+        call.future.add_done_callback(done)
+        return call.future
+
+    @property
+    def _waits(self) -> bool:
+        """Whether a request waits for the server to be discovered."""
+        return any(call.send is not None for call in list(self._calls.values()))
+
+    def _send_waiting(self) -> None:
+        """Send, in order, what has waited for the server to be discovered. On the data thread."""
+        for call in list(self._calls.values()):
+            if call.send is not None and self._host is not None:
+                call.response, call.send, call.since = call.send(), None, self._host.steady()
+                call.response.add_done_callback(call.pass_on)
 
     @property
     def ready(self) -> bool:
@@ -326,7 +366,7 @@ class ClientPort(Input):
 
     def begin(self, host: Host) -> None:
         """Note that it has been attached, on ``host``."""
-        self._host, self._seen = host, False
+        self._host, self._seen, self._there = host, False, False
         self.restart()
 
     def restart(self) -> None:
@@ -346,19 +386,23 @@ class ClientPort(Input):
         self.gone = self._why_gone(host)
         if self.gone is not None and self._calls:
             host.on_data(self._end_calls)
+        elif self._there and self._waits:
+            host.on_data(self._send_waiting)
 
     def _why_gone(self, host: Host) -> str | None:
         now = host.steady()
         names = ", ".join(link.topic for link in self.links)
-        if self.ready:
+        self._there = self.ready
+        if self._there:
             self._seen, self._absent_since = True, None
         elif self._absent_since is None:
             self._absent_since = now
         absent = 0.0 if self._absent_since is None else (now - self._absent_since) / 1e9
         if absent > (ABSENT if self._seen else NEVER_SEEN):
             return f"client {self.name}: {names} has had no server for {absent:.2g} s"
-        oldest = next((call for call in list(self._calls.values()) if call.bounded), None)
-        waited = 0.0 if oldest is None else (now - max(oldest.since, self._counted_from)) / 1e9
+        sent = (call.since for call in list(self._calls.values()) if call.bounded and call.since is not None)
+        oldest = next(sent, now)
+        waited = (now - max(oldest, self._counted_from)) / 1e9
         if self.within is None or waited <= self.within + OVERDUE:
             self._probe = None
             return None
@@ -376,7 +420,7 @@ class ClientPort(Input):
     def _end_calls(self) -> None:
         calls, self._calls = self._calls, {}
         for call in calls.values():
-            call.service.abandon(call.future, Unanswered(self.gone or f"client {self.name} was detached"))
+            call.abandon(Unanswered(self.gone or f"client {self.name} was detached"))
 
     def states(self) -> dict[str, LinkState]:
         return {link.topic: LinkState(gate=None, count=0) for link in self.links}
@@ -407,7 +451,7 @@ class ActionClientPort(ClientPort):
         get_result = handle.get_result_async
         link = next((link for link in self.links if isinstance(link, ClientLink)), None)
         if link is not None:
-            handle.get_result_async = lambda: self._awaited(link, get_result(), bounded=False)
+            handle.get_result_async = lambda: self._sent(link, get_result(), bounded=False)
 
     def call_async(self, request: Any) -> Any:
         """Raises NodeError: a ROS action has goals."""

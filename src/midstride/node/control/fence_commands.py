@@ -39,13 +39,17 @@ class Fencing:
     data_thread: int = 0
 
     async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
-        """An async call counts as busy, too, but for a loop that a mode has begun on entry."""
+        """An async call counts as busy, too; one that a mode has begun on entry if it is to leave that mode."""
+
+        def keeps(runner: FunctionalityRunner) -> bool:
+            return runner.asynchronous and (runner.driven != "none" or runner.name in command.leaving)
+
         deadline = self.host.steady() + int(command.timeout * 1e9)
         try:
             await self.data.run(lambda: None, command.timeout)
         except CommandRefused as error:
             return replies.Idle(busy=str(error))
-        while any(runner.asynchronous and runner.driven != "none" for runner in self.runners):
+        while any(map(keeps, self.runners)):
             if self.host.steady() >= deadline:
                 words = f"user code did not return within {command.timeout:.3g} s{self.data.busy()}"
                 return replies.Idle(busy=words)

@@ -156,7 +156,9 @@ class ActionDriver:
         """
         found = False
         for name in self._may_fence(action):
-            if (because := await self.fences.unresponsive(name, deadline)) is not None:
+            modes = action.modes if isinstance(action, Degrade) else ()
+            leaving = [ref.functionality for ref in modes if ref.instance == name]
+            if (because := await self.fences.unresponsive(name, deadline, leaving)) is not None:
                 found = True
                 links = [(port, self.configuration.topic(key)) for port, key in self.configuration.attached_ports(name)]
                 await self.fences.fence(

@@ -7,7 +7,7 @@ whatever its user code is doing; where that thread does not answer either, its p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -45,8 +45,8 @@ def hanging(life: LifeTable, leaving: Iterable[Instance]) -> Iterator[str]:
         why = "does not answer" if state is None else f"hangs: a call of its code has not returned for {busy:.0f} s"
         longer = DEFAULT_WAIT + stop_times(instance.component).longest
         yield (
-            f"{name} {why}; unless it returns, the change takes up to {longer:g} s longer: it is fenced after "
-            f"{DEFAULT_WAIT:g} s (`--wait`), and ended"
+            f"{name} {why}; unless it returns, the change takes up to {longer:g} s longer: where it has to wait for "
+            f"that, it is fenced after {DEFAULT_WAIT:g} s (`--wait`), and ended"
         )
 
 
@@ -89,13 +89,16 @@ class Fences:
         state = self.client.life.responsive(instance)
         return state is not None and any((each.busy or 0.0) > self.wait for each in state.functionalities.values())
 
-    async def unresponsive(self, instance: str, deadline: float) -> str | None:
-        """Why ``instance`` is not free until ``deadline`` (steady s); None as soon as it is free, or has exited."""
+    async def unresponsive(self, instance: str, deadline: float, leaving: Sequence[str] = ()) -> str | None:
+        """Why ``instance`` is not free until ``deadline`` (steady s); None as soon as it is free, or has exited.
+
+        ``leaving``: its functionalities that are to leave their modes, which an async call begun on entry prevents.
+        """
         while True:
             if self.now() >= deadline and self.client.life.is_stopped(instance):
                 return f"{instance} does not answer (stopped, or hanging outside of Python)"
             try:
-                idle = AwaitIdleCommand(timeout=max(PATIENCE, deadline - self.now()))
+                idle = AwaitIdleCommand(timeout=max(PATIENCE, deadline - self.now()), leaving=[*leaving])
                 busy = (await self.client.read(instance, idle)).busy
                 return None if busy is None else f"{instance} hangs: {busy}"
             except (CommandRefused, Unreachable):

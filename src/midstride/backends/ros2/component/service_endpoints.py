@@ -160,10 +160,13 @@ class RosClient:
 
     def __init__(self, node: Any, group: Any, name: str, type_: type, destroy: Callable[[Any], object]) -> None:
         self.client = node.create_client(type_, name, qos_profile=_deep_queue(), callback_group=group)
-        self._destroy = destroy
+        self._node, self._destroy = node, destroy
 
     def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
         return self.client.call_async(request)
+
+    def unsent(self) -> Future[Any]:
+        return Future(executor=self._node.executor)
 
     def abandon(self, future: Any, error: Exception) -> None:
         if not future.done():
@@ -188,7 +191,7 @@ class RosActionClient:
         self._node, self._accepted = node, accepted
 
     def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
-        given = Future(executor=self._node.executor)
+        given = self.unsent()
 
         def done(sent: Any) -> None:
             if given.done():
@@ -202,6 +205,9 @@ class RosActionClient:
 
         self.client.send_goal_async(request, feedback_callback=feedback).add_done_callback(done)
         return given
+
+    def unsent(self) -> Future[Any]:
+        return Future(executor=self._node.executor)
 
     def abandon(self, future: Any, error: Exception) -> None:
         if not future.done():
