@@ -326,7 +326,7 @@ MODEL: Final = (
         + NODE,
         STARTED.replace('talker"', 'talker" stop sigterm 10 s sigkill 5 s') + NODE,
         STARTED.replace('talker"', 'talker" stop drain 5 s gate relay') + NODE,
-        STARTED.replace('talker"', 'talker" stop patience 20 s gate lifecycle') + NODE,
+        STARTED.replace('talker"', 'talker" stop patience 20 s gate none') + NODE,
         STARTED.replace('talker"', 'talker" activate 10 s') + NODE,
         STARTED.replace("output out", "output out lazy") + NODE,
         _json(
