@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from midstride.backends.ros2.manager.observer import observe
 from midstride.capture.insertion import insert
 from midstride.capture.observed import ObservedGraph
 from midstride.lang.load import load_text
@@ -90,6 +89,8 @@ def test_nodes_that_call_each_other_are_captured_and_brought_up(tmp_path: Path) 
         (folder / "user.py").write_text(USER)
 
     async def captured() -> str:
+        from midstride.backends.ros2.manager.observer import observe
+
         async with robot(load_text(TEXT).require(), folders[0], "/chatter") as system:
             nodes = ["/talker", "/user"]
             graph = await system.meanwhile(asyncio.to_thread(observe, 60.0, nodes, complete))

@@ -53,9 +53,13 @@ def lost_endpoints(
 def _goals_of_ports(
     plan: Plan, name: str, component: ComponentSpec, beside: ComponentSpec | None
 ) -> Iterator[verdicts.Assessment]:
-    """The ROS actions whose servers are ports of the instance ``name``, where it has the API and its successor too."""
-    if component.gate is None and beside is not None and beside.gate is None:
-        attached = plan.change.start.attached_ports(name)
+    """The ROS actions whose servers are ports of the instance ``name``, where it has the API and its successor too.
+
+    A stand-in, which the plan itself creates, has accepted none when it is planned.
+    """
+    start = plan.change.start
+    if name in start.instances and component.gate is None and beside is not None and beside.gate is None:
+        attached = start.attached_ports(name)
         kinds = {port: component.kind_of(port) for port in component.outputs}
         if actions := sorted(f"{ACTION}{served}" for port, served in attached if kinds.get(port.port) == "action"):
             yield verdicts.goals_finish_at(name, actions, DEFAULT_STOP.patience)
