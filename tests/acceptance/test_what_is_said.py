@@ -292,10 +292,11 @@ class Robot:
         return {role: (await self.running(role)).name for role in roles}
 
     async def nodes(self, *roles: str) -> dict[str, str]:
-        """The names of the nodes that run now, by role: one with a gate inside keeps that of its role."""
+        """The names of the nodes that run now, by role: one that loads the library keeps that of its role."""
         gates = {role: gate for role, (_, gate) in (GATES | BARE | OTHERS).items()}
         names = await self.names(*roles)
-        return {role: role if "preload" in (gates[role] or "") else name for role, name in names.items()}
+        keeps = {"preload", "lifecycle", "lifecycle preload"}
+        return {role: role if gates[role] in keeps else name for role, name in names.items()}
 
     async def condition_names(self, words: Mapping[str, str]) -> None:
         """Wait until the status is degraded, or down, and says of each role its ``words``."""
