@@ -194,12 +194,12 @@ class _Inserter:
 
     @staticmethod
     def _is_preloaded(component: ComponentDeclaration) -> bool:
-        """Whether the library is loaded into its program, or what starts it is not stated."""
+        """Return whether the library is loaded into the program, or no command that starts it is stated."""
         gates = [None if run.gate is None else run.gate.text for run in component.runs]
         return all(gate in ("preload", "lifecycle preload") for gate in gates)
 
     def _is_left_out(self, node: str) -> bool:
-        """Whether Midstride manages from now on what ``node`` managed."""
+        """Return whether Midstride manages from now on what ``node`` managed."""
         return self.management == "midstride" and bool(self.graph.managers.get(node))
 
     def _declared_topics(self, *kinds: ConnectorKind) -> set[str]:

@@ -1,4 +1,4 @@
-"""What a graph proposes for each node: its ports and their functionalities, as text of the Stride language."""
+"""Proposes the ports and functionalities of each node of a graph, as text of the Stride language."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def _port_name(endpoint: ObservedEndpoint, all_: Iterable[ObservedEndpoint], use
 
 
 def own_name(endpoint: ObservedEndpoint, remaps: Mapping[str, str]) -> str:
-    """What the program may call the topic or service: a name relative to the node or its namespace means the same."""
+    """Return the program's name of the topic or service: one relative to the node or its namespace means the same."""
     topic, node = endpoint.topic, endpoint.node
     if topic in remaps:
         return remaps[topic]

@@ -87,7 +87,7 @@ class ForeignCommands:
         return replies.Done()
 
     async def _prepare_state(self, peer: str) -> replies.StateOffer:
-        """What moves to the node from that of ``peer``, beside it. Raises CommandRefused where it cannot import it."""
+        """Return what state moves here from ``peer``, beside it. Raises CommandRefused where it cannot be imported."""
         if self._state is None or self._peers.exporting(peer) is None:
             return replies.StateOffer(exports="nothing")
         if self._node.gates is None and self._lifecycle is None:

@@ -109,7 +109,7 @@ class MovingSides:
         return {port: at for port, other in self.ports.items() if (at := int(theirs.entry(other).last))}
 
     async def _forget_kept(self) -> None:
-        """What the new node has kept of what it wrote with its own state is never published."""
+        """Drop what the new node wrote with its own state and has kept: it is never published."""
         page, gates = self.gates.page, self.gates
         looked = page.beat(gates.index)
         gates.wait_for_manager(self.ports, keeping=False)

@@ -228,7 +228,7 @@ class ForeignNode:
         return "open" if self.record.links[port] == "open" and (not self.gates or self.gates.has_it(port)) else "closed"
 
     def responses(self, port: str) -> MeasuredResponses | None:
-        """What is seen of the server at an attached server or client; None where no bound is stated, or nothing is.
+        """Return what is seen of the server at an attached port; None where no bound is stated, or nothing is seen.
 
         In simulated time nothing is: a server may wait for ``/clock``.
         """

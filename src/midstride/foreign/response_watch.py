@@ -1,4 +1,4 @@
-"""Whether a server of a node without Midstride's API keeps its bound, by what the preloaded library has seen of it.
+"""Judges whether a server of a node without Midstride's API keeps its bound, by what the preloaded library has seen.
 
 docs/protocols/foreign.md. A request has missed the bound when it is answered late, or is not answered although the
 bound is over; what is tolerated is stated in missed requests, as for messages, and counts as so many bounds of time.
@@ -72,7 +72,7 @@ class ResponseWatch:
             self._lates, self._late_at = self._lates + 1, now
 
     def _silence(self, server: PagePort, now: int) -> tuple[str, float] | None:
-        """What the server does not do, in words, and for how long (s); None where it does.
+        """Return what the server fails to do, in words, and for how long (s); None where it does.
 
         One request that is never answered is one that has missed the bound: where others are answered in time, it is no
         silence.
@@ -93,12 +93,12 @@ class ResponseWatch:
 
     @property
     def broken(self) -> bool:
-        """Whether it breaks the bound."""
+        """Return whether the server breaks its bound."""
         return self._silent is not None and self._silent[1] > self.tolerated
 
     @property
     def responses(self) -> MeasuredResponses:
-        """What has been seen of it, to report."""
+        """Return the measured responses, to report."""
         words, silent = self._silent or (None, 0.0)
         return MeasuredResponses(
             within=self.within,

@@ -20,7 +20,7 @@ class LeftOut(Exception):
 
 
 class LaunchVisitor(Protocol):
-    """What carries out the launch file."""
+    """Receives what a launch file would start while it is carried out."""
 
     def started(self, action: Any) -> None:
         """Record what launch would start now."""
@@ -29,7 +29,7 @@ class LaunchVisitor(Protocol):
         """A package is not here."""
 
     def text(self, value: Any) -> str:
-        """What launch makes of a text with substitutions."""
+        """Return what launch makes of a text with substitutions."""
 
 
 def with_places(own: Iterable[str], runner: str) -> None:

@@ -481,7 +481,7 @@ class _Visitor:
         return {name: after.get(name) for name in names if self._before.get(name) != after.get(name)}
 
     def text(self, value: Any) -> str:
-        """What launch makes of a text with substitutions."""
+        """Return what launch makes of a text with substitutions."""
         if value is None or isinstance(value, (str, os.PathLike)):
             return "" if value is None else str(value)
         parts: Iterable[Any] = value if isinstance(value, (list, tuple)) else [value]
