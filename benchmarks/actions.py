@@ -11,7 +11,6 @@ the file to begin anew. Interrupted or terminated, it ends what it has started.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import os
 import sys
@@ -22,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT))
 
-from benchmarks.services import REST, Figures, Way, blocks_in, end, looked, measure, quantiles, started  # noqa: E402
+from benchmarks.services import REST, Figures, Way, end, looked, quantiles, run, started  # noqa: E402
 from midstride.lang.load import load  # noqa: E402
 from tests.acceptance.acting import Goals, asking, written  # noqa: E402
 from tests.acceptance.foreign_support import robot  # noqa: E402
@@ -120,23 +119,5 @@ def show(blocks: Sequence[Figures]) -> None:
                 print(f"{'':16}one was rolled back: {because}")
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--swaps", type=int, default=100)
-    parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "actions.jsonl")
-    options = parser.parse_args()
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    options.out.parent.mkdir(exist_ok=True)
-    try:
-        asyncio.run(measure(WAYS, options.ways, options.swaps, options.out))
-    except asyncio.CancelledError:
-        return 1
-    blocks = blocks_in(options.out)
-    show(blocks)
-    faults = [block[name] for block in blocks if block["way"].startswith("replaced") for name in COLUMNS[2:]]
-    return int(any(faults))
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(__doc__, WAYS, 100, "actions.jsonl", COLUMNS, show))

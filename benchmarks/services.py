@@ -201,23 +201,33 @@ async def measure(ways: Mapping[str, Way], chosen: Sequence[str], swaps: int, ou
         print(f"{way}: {done[way] + wanted} of {swaps}", flush=True)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--swaps", type=int, default=200)
-    parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "services.jsonl")
+def run(
+    description: str | None,
+    ways: Mapping[str, Way],
+    swaps: int,
+    name: str,
+    columns: Sequence[str],
+    show: Callable[[Sequence[Figures]], None],
+) -> int:
+    """The command of a benchmark, which keeps what it measures in ``name``; the exit status.
+
+    ``swaps``: how many replacements of each way, unless stated. From the third of ``columns`` on, each counts faults.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--swaps", type=int, default=swaps)
+    parser.add_argument("--ways", nargs="+", choices=ways, default=list(ways))
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / name)
     options = parser.parse_args()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     options.out.parent.mkdir(exist_ok=True)
     try:
-        asyncio.run(measure(WAYS, options.ways, options.swaps, options.out))
+        asyncio.run(measure(ways, options.ways, options.swaps, options.out))
     except asyncio.CancelledError:
         return 1
     blocks = blocks_in(options.out)
     show(blocks)
-    faults = [block[name] for block in blocks if block["way"].startswith("replaced") for name in COLUMNS[2:]]
-    return int(any(faults))
+    return int(any(block[name] for block in blocks if block["way"].startswith("replaced") for name in columns[2:]))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(__doc__, WAYS, 200, "services.jsonl", COLUMNS, show))

@@ -9,6 +9,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
 from msgspec import structs
@@ -131,9 +132,18 @@ class Nodes:
         await self.until(lambda: self.lab.written_by(self.index(instance)) > before + 3)
 
 
+AnyNodes = TypeVar("AnyNodes", bound=Nodes)
+
+
 @asynccontextmanager
 async def nodes(folder: Path, programs: Path, library: Path) -> AsyncIterator[Nodes]:
-    made = Nodes(folder, programs, library)
+    async with running(Nodes(folder, programs, library)) as made:
+        yield made
+
+
+@asynccontextmanager
+async def running(made: AnyNodes) -> AsyncIterator[AnyNodes]:
+    """The nodes with the old one's gate open, and the new one's closed."""
     try:
         await made.start("old")
         await made.attach("old", "open")

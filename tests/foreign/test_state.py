@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +23,7 @@ from midstride.wire import commands, replies
 from tests.foreign import simulated
 from tests.foreign.chat import chat
 from tests.foreign.simulated import SimulatedNode, SimulatedRos
-from tests.foreign.test_agent import TALKER, TOPIC, Nodes
+from tests.foreign.test_agent import TALKER, TOPIC, Nodes, running
 
 TRANSFER = commands.StateTransfer(id="t", cuts=1, at=0, timeout=0.4)
 SWAPS = [commands.CutSwap(port="out", topic=TOPIC)]
@@ -63,23 +62,6 @@ class StatefulNodes(Nodes):
             await self.change(side, commands.CancelCutCommand(cut="c"))
 
 
-@asynccontextmanager
-async def nodes(folder: Path, programs: Path, library: Path) -> AsyncIterator[StatefulNodes]:
-    made = StatefulNodes(folder, programs, library)
-    try:
-        await made.start("old")
-        await made.attach("old", "open")
-        await made.publishes("old")
-        await made.start("new")
-        await made.attach("new", "closed")
-        yield made
-    finally:
-        made.client.close()
-        for agent in made.agents.values():
-            await agent.close()
-        made.lab.close()
-
-
 Body = Callable[[StatefulNodes], Awaitable[None]]
 
 
@@ -87,7 +69,7 @@ Body = Callable[[StatefulNodes], Awaitable[None]]
 def between(tmp_path: Path, programs: Path, gate_library: Path) -> Callable[[Body], None]:
     def run(body: Body) -> None:
         async def scenario() -> None:
-            async with nodes(tmp_path, programs, gate_library) as system:
+            async with running(StatefulNodes(tmp_path, programs, gate_library)) as system:
                 await body(system)
                 assert system.lab.overlaps() == 0
 

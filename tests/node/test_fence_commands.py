@@ -10,6 +10,7 @@ import pytest
 
 from midstride.backends.simulator.virtual_loop import run
 from midstride.node.control.fence_commands import Fencing
+from midstride.node.data.functionality_runner import FunctionalityRunner
 from midstride.wire.commands import AwaitIdleCommand
 
 
@@ -23,6 +24,10 @@ class Data:
         return " (busy: drive)"
 
 
+class Runner(SimpleNamespace):
+    awaits = FunctionalityRunner.awaits
+
+
 @pytest.mark.parametrize(
     ("driven", "leaving", "free"),
     [("none", [], True), ("none", ["talk"], True), ("none", ["drive"], False), ("rate", [], False)],
@@ -34,8 +39,8 @@ def test_an_async_call_on_entry_keeps_a_component_from_leaving_that_mode_alone(
         loop = asyncio.get_running_loop()
         host = SimpleNamespace(steady=lambda: round(loop.time() * 1e9), sleep=asyncio.sleep)
         runners = [
-            SimpleNamespace(name="drive", asynchronous=True, driven=driven),
-            SimpleNamespace(name="talk", asynchronous=False, driven="none"),
+            Runner(name="drive", asynchronous=True, driven=driven),
+            Runner(name="talk", asynchronous=False, driven="none"),
         ]
         fencing = Fencing(cast(Any, None), cast(Any, host), cast(Any, Data()), cast(Any, runners), lambda: None)
         found = await fencing.await_idle(AwaitIdleCommand(timeout=1.0, leaving=leaving))

@@ -12,7 +12,7 @@ import pytest
 from midstride.backends.simulator.virtual_loop import run
 from midstride.node.author.ports import OutputLink
 from midstride.node.component_host import MessageInfo
-from midstride.node.data.functionality_runner import Admission, Call
+from midstride.node.data.functionality_runner import Admission, Call, FunctionalityRunner
 from midstride.node.handover.state_transfer import LONGEST_WAIT, REPORT_INTERVAL, TICK, StateExport, StateImport
 from midstride.node.request_admission import RequestAdmission
 from midstride.wire.commands import Command, FetchStateCommand, StateTransfer
@@ -27,6 +27,7 @@ class Runner(Owner):
     """A functionality as a transfer sees it."""
 
     asynchronous = False
+    awaits = FunctionalityRunner.awaits
     admission: Any = None
 
     def __init__(self) -> None:

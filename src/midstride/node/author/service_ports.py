@@ -344,11 +344,11 @@ class ClientPort(Input):
         """Whether a request waits for the server to be discovered."""
         return any(call.send is not None for call in list(self._calls.values()))
 
-    def _send_waiting(self) -> None:
+    def _send_waiting(self, host: Host) -> None:
         """Send, in order, what has waited for the server to be discovered. On the data thread."""
         for call in list(self._calls.values()):
-            if call.send is not None and self._host is not None:
-                call.response, call.send, call.since = call.send(), None, self._host.steady()
+            if call.send is not None:
+                call.response, call.send, call.since = call.send(), None, host.steady()
                 call.response.add_done_callback(call.pass_on)
 
     @property
@@ -387,7 +387,7 @@ class ClientPort(Input):
         if self.gone is not None and self._calls:
             host.on_data(self._end_calls)
         elif self._there and self._waits:
-            host.on_data(self._send_waiting)
+            host.on_data(partial(self._send_waiting, host))
 
     def _why_gone(self, host: Host) -> str | None:
         now = host.steady()

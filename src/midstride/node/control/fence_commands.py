@@ -42,7 +42,7 @@ class Fencing:
         """An async call counts as busy, too; one that a mode has begun on entry if it is to leave that mode."""
 
         def keeps(runner: FunctionalityRunner) -> bool:
-            return runner.asynchronous and (runner.driven != "none" or runner.name in command.leaving)
+            return runner.awaits or (runner.asynchronous and runner.name in command.leaving)
 
         deadline = self.host.steady() + int(command.timeout * 1e9)
         try:

@@ -104,6 +104,11 @@ class FunctionalityRunner(OutputOwner):
         return self.mode.driven
 
     @property
+    def awaits(self) -> bool:
+        """Whether an async call is under way that ends before the mode: not one that the mode has begun on entry."""
+        return self.asynchronous and self.driven != "none"
+
+    @property
     def driving(self) -> tuple[Input, ...]:
         return self.mode.synchronised or tuple(port for port, _ in self.mode.handlers)
 

@@ -132,7 +132,7 @@ class _Transfer(abc.ABC):
 
     async def _quiet(self) -> None:
         """Wait until no async call is under way, but for loops that a mode has begun on entry."""
-        while any(runner.asynchronous and runner.driven != "none" for runner in self.runners):
+        while any(runner.awaits for runner in self.runners):
             await self.host.sleep(TICK)
 
 

@@ -155,40 +155,53 @@ class RosActionServer:
             self._gone(self)
 
 
-class RosClient:
-    """A client of the service ``name``."""
+class _Caller:
+    """One side of a service or ROS action, of ``node``. ``is_ready`` says whether a server has been discovered."""
 
-    def __init__(self, node: Any, group: Any, name: str, type_: type, destroy: Callable[[Any], object]) -> None:
-        self.client = node.create_client(type_, name, qos_profile=_deep_queue(), callback_group=group)
-        self._node, self._destroy = node, destroy
-
-    def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
-        return self.client.call_async(request)
+    def __init__(self, node: Any, is_ready: Callable[[], bool]) -> None:
+        self._node, self._is_ready = node, is_ready
 
     def unsent(self) -> Future[Any]:
         return Future(executor=self._node.executor)
 
     def abandon(self, future: Any, error: Exception) -> None:
         if not future.done():
-            self.client.remove_pending_request(future)
             future.set_exception(error)
 
     def matched(self) -> int:
         try:
-            return int(self.client.service_is_ready())
+            return int(self._is_ready())
         except InvalidHandle:
             return 0
+
+
+class RosClient(_Caller):
+    """A client of the service ``name``."""
+
+    def __init__(self, node: Any, group: Any, name: str, type_: type, destroy: Callable[[Any], object]) -> None:
+        self.client = node.create_client(type_, name, qos_profile=_deep_queue(), callback_group=group)
+        super().__init__(node, self.client.service_is_ready)
+        self._destroy = destroy
+
+    def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
+        return self.client.call_async(request)
+
+    def abandon(self, future: Any, error: Exception) -> None:
+        if not future.done():
+            self.client.remove_pending_request(future)
+        super().abandon(future, error)
 
     def destroy(self) -> None:
         self._destroy(self.client)
 
 
-class RosActionClient:
+class RosActionClient(_Caller):
     """A client of the ROS action ``name``. ``accepted`` is called with the handle of each accepted goal."""
 
     def __init__(self, node: Any, group: Any, name: str, type_: type, accepted: Callable[[Any], None]) -> None:
         self.client = ActionClient(node, type_, name, callback_group=group)
-        self._node, self._accepted = node, accepted
+        super().__init__(node, self.client.server_is_ready)
+        self._accepted = accepted
 
     def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
         given = self.unsent()
@@ -205,19 +218,6 @@ class RosActionClient:
 
         self.client.send_goal_async(request, feedback_callback=feedback).add_done_callback(done)
         return given
-
-    def unsent(self) -> Future[Any]:
-        return Future(executor=self._node.executor)
-
-    def abandon(self, future: Any, error: Exception) -> None:
-        if not future.done():
-            future.set_exception(error)
-
-    def matched(self) -> int:
-        try:
-            return int(self.client.server_is_ready())
-        except InvalidHandle:
-            return 0
 
     def destroy(self) -> None:
         self.client.destroy()
