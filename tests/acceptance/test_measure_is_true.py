@@ -221,8 +221,9 @@ async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:
         for name in ("first", "second"):
             await r.modes(name, talk="normal")
         await r.modes("sink", listen="normal")
-        begun = (await r.client.change("sink", RecordCommand(inputs=["in"], on=True))).now
+        await r.client.change("sink", RecordCommand(inputs=["in"], on=True))
         await until_async(lambda: heard(r, 25))
+        begun = (await r.client.read("sink", RecordsCommand(input="in"))).now  # both publishers change after that
         for gate in order:
             name = "first" if gate == "close" else "second"
             moved = GateCommand(port="out", topic="/swap", gate="open" if gate == "open" else "closed")
@@ -231,7 +232,6 @@ async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:
         count = len((await r.client.read("sink", RecordsCommand(input="in"))).rows)
         await until_async(lambda: heard(r, count + 25))
         seen = await r.client.read("sink", RecordsCommand(input="in"))
-        begun += int(20 * PERIOD * 1e9)
         # Where the middleware names no publishers, the first one's last number tells the two numberings apart.
         last = (await r.client.peek("first")).ports["out"]["/swap"].count
         return report(Observation("/swap", "sink.in", seen.rows, begun, seen.now, PERIOD, PERIOD, last))
