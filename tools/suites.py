@@ -8,7 +8,7 @@
 Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`,
 `kilted`) run after the others, together with twice as many tests at once as there are processors, which they use for a
 third of the time: a process that gets no processor for longer than a period misses it. Those marked long, many of which
-measure, run one suite after another.
+measure, run one suite after another; with `kilted` then also all others that are marked ros2.
 
 ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
 such as a linter, runs beside them, and counts as a suite.
@@ -54,17 +54,8 @@ COMPUTING = (
 # What concerns a platform, every day: the back ends, and ...
 PLATFORM = ("tests/backends", "tests/test_ground.py")
 # ... in `make test-all` also what rests on the rcl, rclpy and middleware of a distribution: the gate in a C library,
-# the identity of publishers, names, clocks, lifecycle and actions, and one whole system.
-SECOND_PLATFORM = (
-    *PLATFORM,
-    "tests/foreign",
-    "tests/acceptance/test_foreign_swaps.py",
-    "tests/acceptance/test_lifecycle_nodes.py",
-    "tests/acceptance/test_measure_is_true.py",
-    "tests/acceptance/test_ros_action.py",
-    "tests/acceptance/test_simulated_time.py",
-    "tests/cli/test_ros2.py",
-)
+# and the identity of publishers.
+SECOND_PLATFORM = (*PLATFORM, "tests/foreign", "tests/acceptance/test_foreign_swaps.py")
 
 _PROGRESS = re.compile(r"[.sFEx]+ +\[ *\d+%\]")
 _PASSED, _SOME_FAILED, _NONE_CHOSEN = 0, 1, 5  # pytest's exit status
@@ -169,15 +160,16 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={folder}" for folder in COMPUTING]
-        workers = processors * 2 if markers == "not long" else processors * 3 // 2  # computing runs beside them daily
+        workers = processors * 3 // 2  # daily beside `computing`, else beside `kilted`
         found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]
         found.append(Suite("computing", niced, [*first, *(computing or COMPUTING)], processors))
     if options.kilted:
         folders = PLATFORM if daily else () if markers == "long" else SECOND_PLATFORM
+        marked = "ros2" if markers == "long" else f"ros2 and ({markers})"
         variables = {"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"}
-        arguments = ["-m", f"ros2 and ({markers})", *given, *(paths or folders)]
+        arguments = ["-m", marked, *given, *(paths or folders)]
         found.append(Suite("kilted", [tool["with-kilted"]], arguments, half, variables, watches=True))
     if options.ros1:
         arguments = ["-m", f"ros1 and ({markers})", *given, *(paths or (PLATFORM if daily else ()))]

@@ -24,6 +24,7 @@ def test_a_cycle_comes_up_and_is_degraded_and_upgraded_in_one_step(tmp_path: Pat
         run(main())
 
 
+@pytest.mark.long
 def test_a_member_is_replaced_while_the_other_relies_on_it(tmp_path: Path) -> None:
     specification = cyclic(tmp_path / "programs")
 

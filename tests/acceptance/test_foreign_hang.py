@@ -62,7 +62,13 @@ def program_of(pid: int) -> int:
 
 
 @pytest.mark.parametrize(
-    ("lidar", "driver"), [("preload", "preload"), ("relay", "preload"), ("preload", "relay"), ("relay", "relay")]
+    ("lidar", "driver"),
+    [
+        ("preload", "preload"),
+        ("relay", "relay"),
+        pytest.param("relay", "preload", marks=pytest.mark.long),
+        pytest.param("preload", "relay", marks=pytest.mark.long),
+    ],
 )
 def test_dependants_of_a_hung_publisher_are_degraded_and_restored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lidar: str, driver: str

@@ -91,7 +91,7 @@ def killed_at_each(folder: Path, only: set[str] | None = None, times: int = 1) -
     assert max(silences(rows)) <= (RESUME_PERIODS + 2) * PERIOD
 
 
-@pytest.mark.full
+@pytest.mark.long
 def test_the_topic_is_never_silent_for_longer_than_is_stated(tmp_path: Path) -> None:
     killed_at_each(tmp_path, CRITICAL)
 

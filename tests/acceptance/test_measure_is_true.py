@@ -42,7 +42,7 @@ SWAPS = 5
 STILL = 0.6
 
 
-@pytest.mark.parametrize("strategy", ["minimal", pytest.param("paper", marks=pytest.mark.full)])
+@pytest.mark.parametrize("strategy", ["minimal", pytest.param("paper", marks=pytest.mark.long)])
 def test_a_bare_recorder_agrees_with_the_report(strategy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The report's messages are those that a recorder outside received, at the same times.
 

@@ -118,7 +118,7 @@ def test_a_client_calls_the_same_node_across_very_many_replacements(tmp_path: Pa
     replaced_often(tmp_path, REPLACEMENTS)
 
 
-@pytest.mark.full
+@pytest.mark.long
 def test_exactly_one_instance_answers_whenever_the_manager_is_killed(tmp_path: Path) -> None:
     system = tmp_path / "system"
 

@@ -59,6 +59,7 @@ def test_the_robot_never_drives_blind_while_drivers_are_replaced_and_die(tmp_pat
         asyncio.run(main())
 
 
+@pytest.mark.long
 def test_the_hall_s_clock_drives_the_robot_twice_as_fast_as_real_time(tmp_path: Path) -> None:
     specification = load(FOLDER / "patrol.stride").require()
     world, trace = specification.nodes["world"], tmp_path / "trace.jsonl"

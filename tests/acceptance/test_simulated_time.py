@@ -89,7 +89,7 @@ def test_use_sim_time_set_while_it_runs_travels_to_the_replacement(tmp_path: Pat
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("speed", [0.5, 2.0])
+@pytest.mark.parametrize("speed", [0.5, pytest.param(2.0, marks=pytest.mark.long)])
 def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
     speed: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

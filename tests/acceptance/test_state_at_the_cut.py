@@ -117,7 +117,8 @@ COUNTS = [pytest.param(SHORT, marks=pytest.mark.full), pytest.param(LONG, marks=
 
 
 @pytest.mark.ros2
-@pytest.mark.parametrize("replacements", COUNTS)
+@pytest.mark.long
+@pytest.mark.parametrize("replacements", [LONG])
 def test_ros2_a_counter_at_50_hz(replacements: int, tmp_path: Path) -> None:
     folder = system(tmp_path, at_rates(out=50), out=50)
     with ended():

@@ -153,7 +153,9 @@ def play(folder: Path, backend: str) -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("backend", ["sim", pytest.param("ros2", marks=pytest.mark.ros2)])
+@pytest.mark.parametrize(
+    "backend", [pytest.param("sim", marks=pytest.mark.long), pytest.param("ros2", marks=pytest.mark.ros2)]
+)
 def test_the_tutorial_can_be_done(tmp_path: Path, backend: str) -> None:
     play(tmp_path, backend)
 
