@@ -1,7 +1,7 @@
 """The baton, explored: every order of the atomic steps of the old writer, the new one and the manager, with deaths.
 
 What a step makes of the word is computed by the shipped library; here is only the order of loads and compare-and-swaps,
-as `enter` and `leave` in gate.c have it.
+as `enter` and `leave` in writers.c have it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Goals of a ROS action at two instances, explored: every order of the steps of both, their client and the manager.
 
 What a step makes of a word, and whose turn it is, is computed by the shipped library; here is their order, as
-gate.c has it. That a request is claimed once is explored in test_requests_model.py: here a claim is one of a set.
+goals.c and held.c have it. That a request is claimed once is explored in test_requests_model.py: here a claim is one of
+a set.
 """
 
 from __future__ import annotations

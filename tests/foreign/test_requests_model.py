@@ -1,7 +1,7 @@
 """Requests to the services of two instances, explored: every order of the steps of both and the manager, with deaths.
 
 What a step makes of a word is computed by the shipped library; here is only the order of loads and compare-and-swaps,
-as gate.c has it.
+as claims.c and held.c have it.
 """
 
 from __future__ import annotations

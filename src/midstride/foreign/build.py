@@ -14,8 +14,9 @@ from typing import Final
 
 from midstride.errors import StartFailed
 
+# Its headers and its files in C: all that the folder has.
 SOURCES: Final = tuple(
-    Path(__file__).parent / name for name in ("baton.h", "requests.h", "goals.h", "page.h", "gate.c")
+    sorted(path for path in (Path(__file__).parent / "gate").iterdir() if path.suffix in (".c", ".h"))
 )
 _OPTIONS: Final = "-std=c11 -O2 -shared -fPIC -fvisibility=hidden".split()
 _LIBRARIES: Final = ("-lpthread", "-ldl")
@@ -54,7 +55,7 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
             output = Path(folder) / path.name
-            arguments = [*command, *_OPTIONS, "-o", str(output), str(SOURCES[-1]), *_LIBRARIES]
+            arguments = [*command, *_OPTIONS, "-o", str(output), *_compiled(), *_LIBRARIES]
             done = subprocess.run(
                 arguments, env=dict(environment), capture_output=True, text=True, timeout=TIMEOUT, check=False
             )
@@ -67,6 +68,10 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
     except (OSError, subprocess.TimeoutExpired) as error:
         raise StartFailed(f"the gate cannot be compiled: {error}; or write `gate relay`") from None
     return path
+
+
+def _compiled() -> list[str]:
+    return [str(source) for source in SOURCES if source.suffix == ".c"]
 
 
 def library_path(environment: Mapping[str, str]) -> Path:

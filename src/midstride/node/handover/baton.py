@@ -1,7 +1,7 @@
 """The baton as a component sees it that hands over to a node without Midstride's API, or takes over from one.
 
-The word of the baton is in shared memory (``foreign/baton.h``), and every step is made by the library of the gate. For
-the length of a hand-over the component has a *slot*: the part of one more node in that memory.
+The word of the baton is in shared memory (``foreign/gate/baton.h``), and every step is made by the library of the gate.
+For the length of a hand-over the component has a *slot*: the part of one more node in that memory.
 """
 
 from __future__ import annotations

@@ -1,0 +1,159 @@
+/* Which node answers a request, and that each request is answered by one: the steps of requests.h, in the page. */
+#include "serving.h"
+
+#include <sched.h>
+#include <string.h>
+#include <unistd.h>
+
+static pthread_mutex_t client_lock = PTHREAD_MUTEX_INITIALIZER;
+
+bool is_asked(const struct request_id *id)
+{
+  return memcmp(id->client, MANAGER, sizeof MANAGER) == 0;
+}
+
+struct requests *requests_of(unsigned me)
+{
+  uint32_t number = atomic_load_explicit(&page->nodes[me - 1].requests, memory_order_acquire);
+  return number && number <= NODES ? requests_at(page, number - 1) : NULL;
+}
+
+bool has_ended(unsigned index)
+{
+  uint32_t pid = atomic_load(&page->nodes[index - 1].pid);
+  return pid && pid != (uint32_t)getpid() && is_dead(descriptor, index);
+}
+
+/* Whether the node `other` (index + 1) has the service of `entry`, too. */
+static bool has_service(unsigned other, const struct entry *entry)
+{
+  for (unsigned index = 0; index < atomic_load(&page->head.room); index++) {
+    struct port *port = &page->ports[index];
+    if (atomic_load(&port->node) == other && atomic_load(&port->kind) == SERVER && atomic_load(&port->endpoints) &&
+        strncmp(port->topic, entry->port->topic, NAME) == 0)
+      return true;
+  }
+  return false;
+}
+
+bool answers(struct requests *requests, const struct entry *entry)
+{
+  unsigned me = entry->me;
+  int64_t paused = atomic_load(&requests->paused);
+  if (paused && now_ns() < paused)
+    return false;
+  uint64_t word = atomic_load(&requests->word), next;
+  do {
+    unsigned before = BEFORE(word);
+    if (ANSWERING(word) == me) {
+      if (word & BEGUN)
+        return true;
+      if (before && atomic_load(&page->nodes[before - 1].unanswered) && now_ns() < atomic_load(&requests->until) &&
+          !has_ended(before))
+        return !has_service(before, entry);
+      next = word | BEGUN;
+    } else if (before == me && has_ended(ANSWERING(word))) {
+      next = requests_take_back(word, me);
+    } else {
+      return !has_service(ANSWERING(word), entry);
+    }
+  } while (!atomic_compare_exchange_weak(&requests->word, &word, next));
+  return true;
+}
+
+uint64_t client_key(const struct request_id *id)
+{
+  uint64_t parts[2], key = 0;
+  memcpy(parts, id->client, sizeof parts);
+  for (unsigned part = 0; part < 2; part++) { /* SplitMix64 */
+    key += parts[part] + UINT64_C(0x9e3779b97f4a7c15);
+    key = (key ^ key >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
+    key = (key ^ key >> 27) * UINT64_C(0x94d049bb133111eb);
+    key ^= key >> 31;
+  }
+  return key ? key : 1;
+}
+
+/* Have the other processes wait, or go on. The kernel releases the lock of one that dies; one that is stopped while it has
+ * the lock is not waited for. */
+static void lock_clients(struct requests *requests, short type)
+{
+  struct flock whole = {.l_type = type, .l_whence = SEEK_SET, .l_len = 1};
+  whole.l_start = NODES + (requests - requests_at(page, 0));
+  int64_t deadline = now_ns() + LOOK;
+  while (fcntl(descriptor, F_SETLK, &whole) != 0 && now_ns() < deadline)
+    sched_yield();
+}
+
+static struct client *find_client(struct requests *requests, uint64_t key)
+{
+  for (unsigned step = 0; step < CLIENTS; step++) {
+    struct client *client = &requests->clients[(key + step) % CLIENTS];
+    uint64_t known = atomic_load_explicit(&client->id, memory_order_acquire);
+    if (known == key)
+      return client;
+    if (!known)
+      return NULL;
+  }
+  return NULL;
+}
+
+struct client *client_of(struct requests *requests, uint64_t key)
+{
+  struct client *found = find_client(requests, key);
+  if (found)
+    return found;
+  pthread_mutex_lock(&client_lock);
+  lock_clients(requests, F_WRLCK);
+  found = find_client(requests, key);
+  if (!found) {
+    struct client *oldest = NULL;
+    for (unsigned step = 0; step < CLIENTS; step++) {
+      struct client *client = &requests->clients[(key + step) % CLIENTS];
+      if (!atomic_load(&client->id)) {
+        oldest = client;
+        break;
+      }
+      if (!oldest || atomic_load(&client->last) < atomic_load(&oldest->last))
+        oldest = client;
+    }
+    found = oldest;
+    atomic_store(&found->word, key >> 48 << 48); /* its tag: a step for the client before fails */
+    atomic_store(&found->seen, 0);
+    atomic_store(&found->last, now_ns());
+    atomic_store_explicit(&found->id, key, memory_order_release);
+  }
+  lock_clients(requests, F_UNLCK);
+  pthread_mutex_unlock(&client_lock);
+  return found;
+}
+
+bool claim_request(struct requests *requests, const struct request_id *id, bool only_look)
+{
+  uint64_t key = client_key(id);
+  for (;;) {
+    struct client *client = client_of(requests, key);
+    uint64_t word = atomic_load(&client->word), next;
+    while (TAG(word) == key >> 48) {
+      if (!requests_claim(word, (uint32_t)id->number, &next))
+        return false;
+      if (only_look)
+        return true;
+      if (atomic_compare_exchange_weak(&client->word, &word, next)) {
+        atomic_store_explicit(&client->last, now_ns(), memory_order_relaxed);
+        return true;
+      }
+    }
+  }
+}
+
+void note_seen(struct requests *requests, unsigned me, const struct request_id *id)
+{
+  uint64_t word = atomic_load(&requests->word);
+  if (BEFORE(word) == me || (ANSWERING(word) == me && !BEFORE(word)))
+    return;
+  struct client *client = client_of(requests, client_key(id));
+  atomic_store_explicit(&client->last, now_ns(), memory_order_relaxed);
+  if (atomic_load(&client->seen) >> 48 != me)
+    atomic_store(&client->seen, SEEN(me, id->number));
+}

@@ -1,0 +1,169 @@
+/* The gate inside a node that does not use Midstride's API, for LD_PRELOAD: what its files share.
+ *
+ * Wraps the functions of librcl that create, publish and take; the environment names the page of shared memory and the
+ * index of the node in it as which the process was started. Further nodes of the process are known by their names. Without
+ * a page, and for every topic that is not in it, each function does what librcl does.
+ *
+ * The manager loads this library, too, for its own steps with the baton (midstride_*, called by foreign/page.py).
+ */
+#ifndef MIDSTRIDE_GATE_H
+#define MIDSTRIDE_GATE_H
+
+#define _GNU_SOURCE
+#include "page.h"
+
+#include <fcntl.h>
+#include <limits.h>
+#include <pthread.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <time.h>
+
+#define EXPORT __attribute__((visibility("default")))
+#pragma GCC visibility push(hidden) /* what only the files share */
+
+#include "rcl.h"
+
+static inline int64_t now_ns(void)
+{
+  struct timespec at;
+  clock_gettime(CLOCK_MONOTONIC, &at);
+  return at.tv_sec * INT64_C(1000000000) + at.tv_nsec;
+}
+
+/* -- the page (page.c) ------------------------------------------------------------------------------------------------ */
+
+/* The page in `file`; NULL where its layout is not that of this library. `version`: which it has, 0: none. */
+struct page *map_page(int file, uint32_t *version);
+/* Those of a role, by its number from 0. */
+struct requests *requests_at(struct page *shared, unsigned number);
+/* The lock of a node is held by its process for as long as that lives, and released by the kernel. */
+struct flock lock_of(unsigned index, short type);
+int is_dead(int file, unsigned index);
+/* A port that is now of the node `own` (index + 1), without a kind; the page grows where none is free. NULL: it cannot. */
+struct port *claim_port(struct page *shared, int file, unsigned own);
+/* Give a port back that a node no longer has. */
+void free_port(struct port *port);
+/* The part of a node (index from 0) in the page is free, and its ports are. */
+EXPORT void midstride_free(struct page *shared, unsigned index);
+/* Have the helper thread of a node look at once. */
+EXPORT void midstride_ring(struct page *shared, unsigned index);
+
+/* -- this process in the page, and its helper thread (process.c) ------------------------------------------------------ */
+
+extern struct page *page; /* NULL: the process has no gate */
+extern struct node *node; /* as which the process was started */
+extern char page_path[PATH_MAX];
+extern int descriptor;       /* of the page */
+extern pthread_mutex_t lock; /* of the tables where they change, and of what is kept */
+
+/* How often the helper thread looks without being rung for (ns). */
+#define LOOK 100000000L
+
+/* The process has an endpoint: have the helper thread run, and stop before what the middleware keeps of it is destroyed.
+ * With `lock`. */
+void keep_helping(void);
+
+/* -- the endpoints that have a port (endpoints.c) --------------------------------------------------------------------- */
+
+/* A message that was written behind the gate. */
+struct kept {
+  struct kept *next;
+  serialized bytes;
+};
+
+/* A request that a server has taken and not answered yet; it may be answered at any time, and by any thread. */
+struct unanswered {
+  _Atomic uint64_t key; /* of its client and number; 0: free */
+  _Atomic int64_t since; /* when it arrived: CLOCK_MONOTONIC, ns; 0: that is about to be noted */
+};
+/* How many of a server are known at once. */
+#define UNANSWERED 32u
+
+/* Which service of a ROS action it is. */
+enum service { OTHER, SEND_GOAL, CANCEL_GOAL, GET_RESULT };
+
+/* A publisher, subscription or server of this process whose topic or service is in the page. */
+struct entry {
+  _Atomic(const void *) endpoint; /* NULL: free; REMOVED: removed */
+  struct port *port;
+  unsigned me; /* index + 1 of the node that has it */
+  unsigned used; /* index of the port among `used_ports` */
+  const void *type;
+  bool overdue; /* see `enter` */
+  struct kept *kept, **kept_end; /* the last messages that were written behind the gate, the oldest first */
+  unsigned keeping, most_kept;   /* how many there are, and may be */
+  /* Of a server: */
+  const void *owner; /* its node */
+  struct held *held, **end; /* in the order of arrival. With `lock` */
+  _Atomic uint32_t holding; /* how many */
+  void (*callback)(const void *, size_t);
+  const void *context;
+  enum service service;
+  const void *response; /* the type of what it answers */
+  struct taken *taken; /* with `lock` */
+  bool cancelled; /* the library has cancelled all goals */
+  struct unanswered unanswered[UNANSWERED];
+  _Atomic uint32_t responses; /* how many it has sent to such requests */
+};
+
+#define ENTRIES 256u
+/* Hashed by the address of the endpoint. Once this one is full there is a next one, which stays: `find_entry` takes no
+ * lock. */
+struct table {
+  struct entry entries[ENTRIES];
+  _Atomic(struct table *) next;
+};
+extern struct table first_table;
+#define REMOVED ((const void *)&first_table)
+
+/* The ports that this process has had endpoints of. With `lock`. */
+struct used_port {
+  struct port *port;
+  unsigned me;
+  uint32_t matched;
+  uint32_t waiting;
+};
+extern struct used_port *used_ports;
+extern unsigned used_count;
+
+/* NULL where the endpoint has no port. */
+struct entry *find_entry(const void *endpoint);
+/* Where `topic` is a port of this node, or a service, remember the endpoint, and have the helper thread run. False where
+ * there is no memory for that: the endpoint would have no gate. */
+bool add_entry(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type,
+               const void *response);
+void remove_entry(const void *endpoint);
+
+/* -- whether a message may be published (writers.c) ------------------------------------------------------------------- */
+
+/* A call that may publish: `baton` is NULL where the gate alone decides. */
+struct pass {
+  struct baton *baton;
+  uint64_t entered;
+  unsigned flags;
+  int again;
+};
+
+/* A message of the node `own` (index + 1) of `shared` is about to be published. `file`: the open file of that page.
+ * `overdue`: whether a successor has let the patience of this port go by. */
+bool enter(struct page *shared, unsigned own, int file, struct port *port, bool *overdue, struct pass *pass);
+/* It has been. */
+void leave(struct pass *pass);
+/* A message has passed, or has been held back. */
+void count_call(struct port *port, bool passed);
+
+/* -- what is kept of publishers (publishers.c) ------------------------------------------------------------------------ */
+
+/* How many messages of a publisher are kept at most that were written behind the gate: of a latched one, as many as a
+ * subscriber that comes later gets; else the last. */
+unsigned most_kept(const void *publisher);
+/* Keep at most so many of the messages that are kept, the last ones. With `lock`. */
+void discard_kept(struct entry *entry, unsigned remaining);
+/* Publish what is kept, in its order, if it may be published now; or forget it, where nothing is to be kept any more. With
+ * `lock`. */
+void publish_kept(struct entry *entry);
+
+#pragma GCC visibility pop
+#endif

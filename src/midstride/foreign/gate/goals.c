@@ -1,0 +1,184 @@
+/* Goals of ROS actions: the steps of goals.h, in the page. */
+#include "serving.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* How long the node that answers a request to cancel many goals waits for the list of the other one (ns). */
+#define ADDING INT64_C(1000000000)
+
+/* A goal in progress at a node of this process that the page has no room for. */
+struct beyond {
+  struct beyond *next;
+  uint8_t goal[16];
+  unsigned me;
+};
+static struct beyond *beyond; /* with `lock` */
+
+struct subject subject_of(const struct entry *entry, const void *request)
+{
+  static const uint8_t none[16];
+  struct subject subject = {ABOUT_NONE, {0}};
+  if (entry->service == OTHER)
+    return subject;
+  const struct goal_info *info = request;
+  memcpy(subject.goal, info->id, sizeof subject.goal);
+  if (entry->service == GET_RESULT)
+    subject.about = ABOUT_ONE;
+  else if (entry->service == CANCEL_GOAL) {
+    bool many = memcmp(info->id, none, sizeof none) == 0 || info->seconds || info->nanoseconds;
+    subject.about = many ? ABOUT_MANY : ABOUT_ONE;
+  }
+  return subject;
+}
+
+struct goal *find_goal(struct requests *requests, const uint8_t *id)
+{
+  uint64_t parts[2];
+  memcpy(parts, id, sizeof parts);
+  for (unsigned index = 0; index < GOALS; index++) {
+    struct goal *goal = &requests->goals[index];
+    if (goal_is_known(atomic_load(&goal->word)) && atomic_load(&goal->id[0]) == parts[0] &&
+        atomic_load(&goal->id[1]) == parts[1])
+      return goal;
+  }
+  return NULL;
+}
+
+void step_goal(struct goal *goal, unsigned me, enum goal_event event)
+{
+  uint64_t word = atomic_load(&goal->word);
+  while (!atomic_compare_exchange_weak(&goal->word, &word, goal_step(word, me, event)))
+    ;
+}
+
+struct goal *reserve_goal(struct requests *requests, const struct entry *entry, const struct subject *subject)
+{
+  for (unsigned tries = 0; tries < GOALS; tries++) {
+    struct goal *found = NULL;
+    uint64_t word = 0;
+    bool free = false;
+    for (unsigned index = 0; index < GOALS && !free; index++) {
+      struct goal *goal = &requests->goals[index];
+      uint64_t seen = atomic_load(&goal->word);
+      bool ended = GOAL_STATE(seen) != NO_GOAL && has_ended(OWNER(seen));
+      free = GOAL_STATE(seen) == NO_GOAL || ended;
+      if (goal_reserve(seen, entry->me, ended) != seen &&
+          (free || !found || atomic_load(&goal->at) < atomic_load(&found->at))) {
+        found = goal;
+        word = seen;
+      }
+    }
+    if (!found)
+      return NULL;
+    if (atomic_compare_exchange_strong(&found->word, &word, goal_reserve(word, entry->me, true))) {
+      uint64_t parts[2];
+      memcpy(parts, subject->goal, sizeof parts);
+      atomic_store(&found->id[0], parts[0]);
+      atomic_store(&found->id[1], parts[1]);
+      atomic_store(&found->at, now_ns());
+      atomic_store(&found->port, (uint32_t)(entry->port - page->ports) + 1);
+      return found;
+    }
+  }
+  return NULL;
+}
+
+/* Whether a goal is of the ROS action of `entry`. */
+bool is_of_action(const struct goal *goal, const struct entry *entry)
+{
+  uint32_t port = atomic_load(&goal->port);
+  const char *own = entry->port->topic, *other = port && port <= MOST_PORTS ? page->ports[port - 1].topic : "";
+  size_t length = (size_t)(strrchr(own, '/') - own) + 1;
+  return strncmp(own, other, length) == 0 && strcmp(other + length, "send_goal") == 0;
+}
+
+enum turn turn_with(struct requests *requests, const struct entry *entry, const struct subject *subject,
+                    const struct request_id *id, int64_t at, bool added, bool own)
+{
+  bool in_flight = atomic_load(&page->nodes[entry->me - 1].beyond) != 0, missing = false;
+  unsigned owner = 0;
+  if (subject->about == ABOUT_ONE) {
+    struct goal *goal = find_goal(requests, subject->goal);
+    owner = goal ? OWNER(atomic_load(&goal->word)) : 0;
+    owner = owner && has_ended(owner) ? 0 : owner;
+  }
+  for (unsigned index = 0; subject->about == ABOUT_MANY && index < GOALS; index++) {
+    struct goal *goal = &requests->goals[index];
+    uint64_t word = atomic_load(&goal->word);
+    if (!goal_in_flight(word) || !is_of_action(goal, entry))
+      continue;
+    if (OWNER(word) == entry->me)
+      in_flight = true;
+    else if (now_ns() - at < ADDING && !has_ended(OWNER(word)) && !find_added(requests, OWNER(word), id))
+      missing = true;
+  }
+  return turn_of(subject->about, entry->me, own, owner, in_flight, added, missing);
+}
+
+void accept_beyond(const struct entry *entry, const struct subject *subject)
+{
+  struct beyond *accepted = malloc(sizeof *accepted);
+  if (!accepted)
+    return;
+  memcpy(accepted->goal, subject->goal, sizeof accepted->goal);
+  accepted->me = entry->me;
+  pthread_mutex_lock(&lock);
+  accepted->next = beyond;
+  beyond = accepted;
+  atomic_fetch_add(&page->nodes[entry->me - 1].beyond, 1);
+  pthread_mutex_unlock(&lock);
+}
+
+/* Such a goal has ended. With `lock`. */
+static void end_beyond(const uint8_t *goal)
+{
+  for (struct beyond **place = &beyond; *place; place = &(*place)->next)
+    if (memcmp((*place)->goal, goal, sizeof (*place)->goal) == 0) {
+      struct beyond *ended = *place;
+      *place = ended->next;
+      atomic_fetch_sub(&page->nodes[ended->me - 1].beyond, 1);
+      free(ended);
+      return;
+    }
+}
+
+/* Something has happened to a goal of this process. */
+static void on_goal(const struct goal_info *info, enum goal_event event)
+{
+  pthread_mutex_lock(&lock);
+  if (event == END)
+    end_beyond(info->id);
+  for (struct table *table = &first_table; table; table = atomic_load(&table->next))
+    for (unsigned index = 0; index < ENTRIES; index++) {
+      struct entry *entry = &table->entries[index];
+      const void *endpoint = atomic_load(&entry->endpoint);
+      struct requests *requests =
+          endpoint && endpoint != REMOVED && entry->service == SEND_GOAL ? requests_of(entry->me) : NULL;
+      struct goal *goal = requests ? find_goal(requests, info->id) : NULL;
+      if (goal)
+        step_goal(goal, entry->me, event);
+    }
+  pthread_mutex_unlock(&lock);
+}
+
+/* rcl_action_goal_event_t */
+enum { GOAL_EVENT_SUCCEED = 2, GOAL_EVENT_CANCELED = 4 };
+
+EXPORT int rcl_action_update_goal_state(void *handle, int event)
+{
+  int result = real_rcl_action_update_goal_state()(handle, event);
+  struct goal_info info;
+  if (page && result == 0 && event >= GOAL_EVENT_SUCCEED && event <= GOAL_EVENT_CANCELED &&
+      real_rcl_action_goal_handle_get_info()(handle, &info) == 0)
+    on_goal(&info, END);
+  return result;
+}
+
+EXPORT int rcl_action_expire_goals(const void *server, struct goal_info *expired, size_t capacity, size_t *number)
+{
+  int result = real_rcl_action_expire_goals()(server, expired, capacity, number);
+  for (size_t index = 0; page && result == 0 && expired && index < *number && index < capacity; index++)
+    on_goal(&expired[index], EXPIRE);
+  return result;
+}

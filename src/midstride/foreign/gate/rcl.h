@@ -1,0 +1,151 @@
+/* The C interface of ROS, as far as the library uses it. No header of ROS is needed: it has not changed from Humble to
+ * Kilted.
+ *
+ * `real_NAME()` is the function NAME of ROS, found when it is first called; NULL where no library of the process has it.
+ */
+#ifndef MIDSTRIDE_RCL_H
+#define MIDSTRIDE_RCL_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+struct goal_info; /* in page.h */
+
+/* RCL_RET_BAD_ALLOC */
+#define BAD_ALLOC 10
+/* RCL_RET_SUBSCRIPTION_TAKE_FAILED: there was no message. */
+#define TAKE_FAILED 401
+/* RCL_RET_SERVICE_TAKE_FAILED: there was no request. */
+#define NO_REQUEST 601
+/* RCL_RET_TIMEOUT */
+#define TIMED_OUT 2
+
+typedef struct {
+  void *(*allocate)(size_t, void *);
+  void (*deallocate)(void *, void *);
+  void *(*reallocate)(void *, size_t, void *);
+  void *(*zero_allocate)(size_t, size_t, void *);
+  void *state;
+} allocator;
+
+/* rcl_serialized_message_t */
+typedef struct {
+  uint8_t *buffer;
+  size_t length;
+  size_t capacity;
+  allocator memory;
+} serialized;
+
+/* What is of interest of rmw_qos_profile_t. */
+struct qos {
+  int history;
+  size_t depth;
+  int reliability;
+  int durability;
+};
+/* RMW_QOS_POLICY_HISTORY_KEEP_LAST, RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL */
+#define KEEP_LAST 1
+#define TRANSIENT_LOCAL 1
+
+/* rcl_service_options_t, up to Kilted: of its QoS profile, only the queue is of interest here. */
+struct service_options {
+  int history;
+  size_t depth;
+  uint64_t rest[9];
+  allocator memory;
+};
+
+/* rosidl_service_type_support_t, from Iron on. */
+struct service_type {
+  const char *identifier;
+  const void *data;
+  const void *function;
+  const void *request;
+  const void *response;
+};
+
+/* rmw_request_id_t */
+struct request_id {
+  uint8_t client[16];
+  int64_t number;
+};
+
+/* rmw_gid_t: up to Humble, the identity itself has 24 bytes. */
+struct identity {
+  const char *implementation;
+  uint8_t data[24];
+};
+
+/* rmw_service_info_t */
+struct request_info {
+  int64_t sent;
+  int64_t received;
+  struct request_id id;
+};
+
+/* rcl_wait_set_t */
+struct wait_set {
+  const void **subscriptions;
+  size_t subscription_count;
+  const void **guards;
+  size_t guard_count;
+  const void **timers;
+  size_t timer_count;
+  const void **clients;
+  size_t client_count;
+  const void **services;
+  size_t service_count;
+  const void **events;
+  size_t event_count;
+  void *impl;
+};
+
+/* What the library itself copies, it has from malloc. */
+extern const allocator heap;
+
+#ifndef REAL /* that of rcl.c defines them */
+#define REAL(result, name, ...) result (*real_##name(void))(__VA_ARGS__);
+#endif
+REAL(int, rcl_node_init, void *, const char *, const char *, void *, const void *)
+REAL(int, rcl_node_fini, void *)
+REAL(int, rcl_remap_node_name, const void *, const void *, const char *, allocator, char **)
+REAL(const char *, rcl_node_get_fully_qualified_name, const void *)
+REAL(int, rcl_publisher_init, void *, const void *, const void *, const char *, const void *)
+REAL(int, rcl_publisher_fini, void *, void *)
+REAL(const char *, rcl_publisher_get_topic_name, const void *)
+REAL(const struct qos *, rcl_publisher_get_actual_qos, const void *)
+REAL(const void *, rcl_publisher_get_rmw_handle, const void *)
+REAL(int, rmw_get_gid_for_publisher, const void *, struct identity *)
+REAL(int, rcl_publisher_get_subscription_count, const void *, size_t *)
+REAL(int, rcl_publish, const void *, const void *, void *)
+REAL(int, rcl_publish_serialized_message, const void *, const void *, void *)
+REAL(int, rcl_publish_loaned_message, const void *, void *, void *)
+REAL(int, rcl_return_loaned_message_from_publisher, const void *, void *)
+REAL(int, rcl_subscription_init, void *, const void *, const void *, const char *, const void *)
+REAL(int, rcl_subscription_fini, void *, void *)
+REAL(const char *, rcl_subscription_get_topic_name, const void *)
+REAL(int, rcl_subscription_get_publisher_count, const void *, size_t *)
+REAL(int, rcl_take, const void *, void *, void *, void *)
+REAL(int, rcl_take_sequence, const void *, size_t, void *, void *, void *)
+REAL(int, rcl_take_serialized_message, const void *, void *, void *, void *)
+REAL(int, rcl_take_loaned_message, const void *, void **, void *, void *)
+REAL(int, rcl_return_loaned_message_from_subscription, const void *, void *)
+REAL(int, rcl_service_init, void *, const void *, const void *, const char *, const void *)
+REAL(int, rcl_service_fini, void *, void *)
+REAL(const char *, rcl_service_get_service_name, const void *)
+REAL(void *, rcl_service_configure_service_introspection, void)
+REAL(int, rcl_service_set_on_new_request_callback, const void *, const void *, const void *)
+REAL(int, rcl_count_clients, const void *, const char *, size_t *)
+REAL(int, rcl_take_request, const void *, struct request_id *, void *)
+REAL(int, rcl_take_request_with_info, const void *, struct request_info *, void *)
+REAL(int, rcl_send_response, const void *, struct request_id *, void *)
+REAL(int, rcl_action_update_goal_state, void *, int)
+REAL(int, rcl_action_goal_handle_get_info, const void *, struct goal_info *)
+REAL(int, rcl_action_expire_goals, const void *, struct goal_info *, size_t, size_t *)
+REAL(int, rcl_wait, struct wait_set *, int64_t)
+REAL(int, rcl_trigger_guard_condition, const void *)
+REAL(int, rmw_serialize, const void *, const void *, void *)
+REAL(int, rmw_deserialize, const void *, const void *, void *)
+REAL(void, rcutils_reset_error, void)
+
+#endif

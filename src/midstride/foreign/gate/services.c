@@ -1,0 +1,194 @@
+/* Servers: what is taken, and what is answered. */
+#include "serving.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+/* How many requests a server's queue has room for at least. Of a shallower one, requests fall out while a busy executor
+ * does not take them, as while a node starts. */
+#define QUEUE 200u
+
+/* The type of the requests to a service; NULL where it is not known. */
+static const void *request_type(const struct service_type *type)
+{
+  /* Before Iron, the type of a service does not have it. */
+  bool known = type && real_rcl_service_configure_service_introspection();
+  return known && real_rmw_serialize() && real_rmw_deserialize() && real_rcutils_reset_error() ? type->request : NULL;
+}
+
+EXPORT int rcl_service_init(void *service, const void *owner, const void *type, const char *name,
+                            const struct service_options *options)
+{
+  const void *request = page ? request_type(type) : NULL;
+  if (!request || !options)
+    return real_rcl_service_init()(service, owner, type, name, options);
+  struct service_options deeper = *options;
+  if (deeper.history == KEEP_LAST && deeper.depth < QUEUE)
+    deeper.depth = QUEUE;
+  int result = real_rcl_service_init()(service, owner, type, name, &deeper);
+  if (result == 0 && !add_entry(service, owner, real_rcl_service_get_service_name()(service), SERVER, request,
+                                ((const struct service_type *)type)->response)) {
+    real_rcl_service_fini()(service, (void *)owner);
+    return BAD_ALLOC;
+  }
+  return result;
+}
+
+EXPORT int rcl_service_fini(void *service, void *owner)
+{
+  remove_entry(service);
+  return real_rcl_service_fini()(service, owner);
+}
+
+EXPORT int rcl_service_set_on_new_request_callback(const void *service, void (*callback)(const void *, size_t),
+                                                   const void *context)
+{
+  struct entry *entry = find_entry(service);
+  if (entry) {
+    pthread_mutex_lock(&lock);
+    entry->callback = callback;
+    entry->context = context;
+    atomic_store(&entry->port->busy, 0); /* which is known of executors that wait */
+    pthread_mutex_unlock(&lock);
+  }
+  return real_rcl_service_set_on_new_request_callback()(service, callback, context);
+}
+
+/* Of the two functions that take a request, one may call the other: then that one knows when the request was received. */
+static _Thread_local bool taking;
+static _Thread_local int64_t received;
+
+/* A clock that is set by more than this between the arrival of a request and its being taken is noticed (ns). */
+#define LONGEST_WAIT INT64_C(60000000000)
+
+/* When a request arrived that is taken now, by when the middleware says that it was received: CLOCK_REALTIME, ns; it may not
+ * say so (0), or that clock may have been set. */
+static int64_t arrival(int64_t by_the_middleware)
+{
+  int64_t now = now_ns();
+  if (by_the_middleware <= 0)
+    return now;
+  struct timespec at;
+  clock_gettime(CLOCK_REALTIME, &at);
+  int64_t waited = at.tv_sec * INT64_C(1000000000) + at.tv_nsec - by_the_middleware;
+  return waited > 0 && waited < LONGEST_WAIT ? now - waited : now;
+}
+
+/* Take a request with `real_take`, or one that was held. */
+static int take_request(const void *service, struct request_info *info, void *request, bool with_info)
+{
+  struct entry *entry = taking ? NULL : find_entry(service);
+  struct requests *requests = entry ? requests_of(entry->me) : NULL;
+  if (requests && take_held(entry, requests, info, request))
+    return 0;
+  bool nested = taking;
+  taking = true;
+  received = 0;
+  int result = with_info ? real_rcl_take_request_with_info()(service, info, request)
+                         : real_rcl_take_request()(service, &info->id, request);
+  taking = nested;
+  if (with_info && result == 0)
+    received = info->received;
+  if (result != 0 || !requests)
+    return result;
+  note_seen(requests, entry->me, &info->id);
+  struct subject subject = subject_of(entry, request);
+  struct taken *taken = NULL;
+  switch (turn_with(requests, entry, &subject, &info->id, now_ns(), false, answers(requests, entry))) {
+  case ANSWER:
+    if (!begin_request(requests, entry, &info->id, &subject, arrival(received), &taken))
+      return NO_REQUEST;
+    remember(entry, taken);
+    return 0;
+  case ADD:
+    if (!claim_request(requests, &info->id, true) || !(taken = calloc(1, sizeof *taken)))
+      return NO_REQUEST;
+    *taken = (struct taken){.id = info->id, .subject = subject, .adds = true};
+    hold_request(entry, info, request, &subject, true);
+    remember(entry, taken);
+    return 0;
+  case WAIT:
+    hold_request(entry, info, request, &subject, false);
+  }
+  pthread_mutex_lock(&lock);
+  if (is_due(entry)) /* since meanwhile it is to answer */
+    announce(entry);
+  pthread_mutex_unlock(&lock);
+  return NO_REQUEST;
+}
+
+EXPORT int rcl_take_request_with_info(const void *service, struct request_info *info, void *request)
+{
+  return take_request(service, info, request, true);
+}
+
+EXPORT int rcl_take_request(const void *service, struct request_id *id, void *request)
+{
+  struct request_info info = {.id = *id};
+  int result = take_request(service, &info, request, false);
+  *id = info.id;
+  return result;
+}
+
+/* Have the node that answers look at once. */
+void ring_others(const struct entry *entry)
+{
+  uint64_t word = atomic_load(&requests_of(entry->me)->word);
+  if (ANSWERING(word) && ANSWERING(word) != entry->me)
+    midstride_ring(page, ANSWERING(word) - 1);
+}
+
+/* Answer with the result of a goal whose node has ended, if the manager has kept it in a file: no client had fetched it. */
+static void answer_kept(const struct entry *entry, const uint8_t *goal, void *response)
+{
+  char name[FILE_NAME];
+  int end = snprintf(name, FILE_NAME, "%s.result.", page_path);
+  for (unsigned index = 0; index < 16; index++)
+    end += snprintf(name + end, FILE_NAME - (size_t)end, "%02x", goal[index]);
+  serialized bytes = {.memory = heap};
+  bytes.buffer = entry->response ? read_file(name, &bytes.length) : NULL;
+  bytes.capacity = bytes.length + 1;
+  if (bytes.buffer && real_rmw_deserialize()(&bytes, entry->response, response) != 0)
+    real_rcutils_reset_error()();
+  free(bytes.buffer);
+}
+
+EXPORT int rcl_send_response(const void *service, struct request_id *id, void *response)
+{
+  struct entry *entry = find_entry(service);
+  if (entry && is_asked(id))
+    return respond(entry, id, response);
+  struct requests *requests = entry ? requests_of(entry->me) : NULL;
+  if (!requests)
+    return real_rcl_send_response()(service, id, response);
+  struct taken *taken = entry->service == OTHER ? NULL : recall(entry, id);
+  if (taken && (taken->adds || taken->own)) { /* not this node's to answer */
+    if (taken->adds)
+      leave_added(requests, entry, taken, response);
+    free(taken);
+    ring_others(entry);
+    return 0;
+  }
+  if (taken && entry->service == CANCEL_GOAL && taken->subject.about == ABOUT_MANY)
+    merge_added(requests, entry, taken, response);
+  /* The response to the request for a goal begins with whether it is accepted; that with a result, with its status. */
+  int8_t begins = 0;
+  memcpy(&begins, response, sizeof begins);
+  if (taken && entry->service == SEND_GOAL) {
+    if (taken->goal)
+      step_goal(taken->goal, entry->me, begins ? ACCEPT : REJECT);
+    else if (begins)
+      accept_beyond(entry, &taken->subject);
+  }
+  if (taken && entry->service == GET_RESULT && !begins) /* the node does not know the goal */
+    answer_kept(entry, taken->subject.goal, response);
+  int result = real_rcl_send_response()(service, id, response);
+  struct goal *goal = taken && entry->service == GET_RESULT && begins ? find_goal(requests, taken->subject.goal) : NULL;
+  if (goal && result == 0)
+    step_goal(goal, entry->me, FETCH);
+  free(taken);
+  answered(entry, requests, id, true);
+  return result;
+}

@@ -1,0 +1,147 @@
+/* What the files share that are about services and ROS actions. */
+#ifndef MIDSTRIDE_SERVING_H
+#define MIDSTRIDE_SERVING_H
+
+#include "gate.h"
+
+#pragma GCC visibility push(hidden)
+
+/* What a request to a ROS action is about. */
+struct subject {
+  enum about about;
+  uint8_t goal[16];
+};
+
+/* A request to a ROS action that the node has taken and not answered yet. */
+struct taken {
+  struct taken *next;
+  struct request_id id;
+  struct subject subject;
+  struct goal *goal; /* that it asks for; NULL: it asks for none, or the page had no room */
+  bool adds;         /* another node answers it: it gets the list of what this one has cancelled */
+  bool own;          /* the library has made it */
+};
+
+/* A request that this node may have to answer later. */
+struct held {
+  struct held *next;
+  struct request_info info;
+  serialized bytes;
+  struct subject subject;
+  struct taken *taken; /* once it is claimed, of a ROS action */
+  int64_t at;
+  bool claimed;   /* it is this node's to answer */
+  bool announced; /* to the callback of its server */
+  bool added;     /* it is about many goals, and the node has cancelled its own */
+};
+
+/* -- which node answers a request (claims.c) -------------------------------------------------------------------------- */
+
+/* Whose requests those of the manager to this node alone seem to be. */
+#define MANAGER "midstride asks"
+/* Of a client in the page: `seen`. */
+#define SEEN(index, number) ((uint64_t)(index) << 48 | ((uint64_t)(number) & UINT64_C(0xffffffffffff)))
+
+/* Whether a request is one of the manager to this node alone. */
+bool is_asked(const struct request_id *id);
+/* Those of the role of the node `me` (index + 1); NULL where it answers each that arrives. */
+struct requests *requests_of(unsigned me);
+/* Whether the process of the node `index` (+ 1) has ended. A process does not see its own locks. */
+bool has_ended(unsigned index);
+/* Whether the node of `entry` answers the requests to its service now. */
+bool answers(struct requests *requests, const struct entry *entry);
+/* What distinguishes a client, from the identity of its writer; not 0. */
+uint64_t client_key(const struct request_id *id);
+/* The part of a client. Where all are used, it is that of the one from which nothing has been heard for longest. */
+struct client *client_of(struct requests *requests, uint64_t key);
+/* Claim a request; whether this call was the first to do so. `only_look`: do not. */
+bool claim_request(struct requests *requests, const struct request_id *id, bool only_look);
+/* Note the first request of a client that a successor has received: it receives all later ones, and the node before it
+ * answers only what came earlier. */
+void note_seen(struct requests *requests, unsigned me, const struct request_id *id);
+
+/* -- goals of ROS actions (goals.c) ----------------------------------------------------------------------------------- */
+
+/* What a request to `entry` is about. It is in memory as its type has it, in C as in C++: the UUID of the goal comes first
+ * in each, and in one to cancel a time follows. */
+struct subject subject_of(const struct entry *entry, const void *request);
+struct goal *find_goal(struct requests *requests, const uint8_t *id);
+void step_goal(struct goal *goal, unsigned me, enum goal_event event);
+/* A place for a goal that `entry` is about to accept; NULL where each has one that its node may still need. Of those whose
+ * result has been fetched, the one that was asked for first is forgotten. */
+struct goal *reserve_goal(struct requests *requests, const struct entry *entry, const struct subject *subject);
+/* Whose turn it is with a request to `entry`, which has arrived at `at`. `own`: whether this node answers what is about no
+ * goal. */
+enum turn turn_with(struct requests *requests, const struct entry *entry, const struct subject *subject,
+                    const struct request_id *id, int64_t at, bool added, bool own);
+/* A goal that the page has no room for is accepted: the node is waited for until it has ended, too. */
+void accept_beyond(const struct entry *entry, const struct subject *subject);
+
+/* -- goals of two nodes that are cancelled by one request (cancelled.c) ----------------------------------------------- */
+
+/* What a node has added to the answer of a request; NULL where it has not. */
+struct added *find_added(struct requests *requests, unsigned index, const struct request_id *id);
+/* Leave the list of what this node has cancelled for the one that answers. Where each place is used, the oldest is given
+ * up: its request is answered without it. */
+void leave_added(struct requests *requests, struct entry *entry, const struct taken *taken, const void *response);
+/* Add what other nodes have cancelled to the response of this one. */
+void merge_added(struct requests *requests, struct entry *entry, const struct taken *taken, void *response);
+/* Have the node cancel all goals that it has, by a request which no other one gets. With `lock`. */
+void cancel_all(struct entry *entry);
+
+/* -- requests that are taken and not answered (unanswered.c) ---------------------------------------------------------- */
+
+/* Claim a request for the node of `entry`, which has had to answer it since `since`; false where it has been claimed.
+ * `taken`: what is to be remembered of it until it is answered, NULL for that of any other service than those of a ROS
+ * action. */
+bool begin_request(struct requests *requests, struct entry *entry, const struct request_id *id,
+                   const struct subject *subject, int64_t since, struct taken **taken);
+/* Remember what the node has taken until it answers. */
+void remember(struct entry *entry, struct taken *taken);
+/* No longer: it answers. NULL where nothing was remembered. */
+struct taken *recall(struct entry *entry, const struct request_id *id);
+/* Since when the oldest request of a server is not answered; 0: each is. */
+int64_t oldest_of(const struct entry *entry);
+/* A request of this node needs no more to be waited for; `sent`: it has been answered. */
+void answered(struct entry *entry, struct requests *requests, const struct request_id *id, bool sent);
+
+/* -- requests that are held (held.c) ---------------------------------------------------------------------------------- */
+
+/* Hold a request: another node answers, or is to. Not where it cannot be copied: then it is left to the other one.
+ * `added`: this node has taken it, to add to the answer. */
+void hold_request(struct entry *entry, const struct request_info *info, const void *request,
+                  const struct subject *subject, bool added);
+void free_held(struct held *held);
+/* Hold one that this node is to answer, and no other. With `lock`. */
+void hold_claimed(struct entry *entry, struct held *held);
+/* No longer hold any of them, nor remember what is taken. With `lock`. */
+void drop_requests(struct entry *entry);
+/* Give the node a request that was held; false where none is due. */
+bool take_held(struct entry *entry, struct requests *requests, struct request_info *info, void *request);
+/* Whose turn it is with one that is held. */
+enum turn turn_with_held(struct requests *requests, const struct entry *entry, const struct held *held);
+/* Whether a server of the node has a request which it is to take that the middleware does not know of. With `lock`. */
+bool is_due(struct entry *entry);
+/* For the helper thread, with `lock`. */
+void look_at_server(struct entry *entry, const void *server);
+
+/* -- executors that wait (waits.c) ------------------------------------------------------------------------------------ */
+
+/* Have the executor take what is due. With `lock`. */
+void announce(struct entry *entry);
+
+/* -- requests of the manager to this node alone (asked.c) ------------------------------------------------------------- */
+
+/* How many bytes the name of a file of one of them has more than that of the page. */
+#define SUFFIX 64
+#define FILE_NAME (PATH_MAX + SUFFIX)
+
+/* The bytes of a file, with a 0 behind them; NULL where it cannot be read. */
+uint8_t *read_file(const char *name, size_t *length);
+/* Hold those that there are for the executor. With `lock`. */
+void take_asked(void);
+/* Write the response to a request of the manager into its file, which is there once it is whole. */
+int respond(const struct entry *entry, const struct request_id *id, const void *response);
+
+#pragma GCC visibility pop
+#endif

@@ -1,0 +1,58 @@
+/* Subscriptions: a message that is taken while the gate of its port is closed is dropped. */
+#include "gate.h"
+
+EXPORT int rcl_subscription_init(void *subscription, const void *owner, const void *type, const char *name,
+                                 const void *options)
+{
+  int result = real_rcl_subscription_init()(subscription, owner, type, name, options);
+  if (page && result == 0 &&
+      !add_entry(subscription, owner, real_rcl_subscription_get_topic_name()(subscription), INPUT, type, NULL)) {
+    real_rcl_subscription_fini()(subscription, (void *)owner);
+    return BAD_ALLOC;
+  }
+  return result;
+}
+
+EXPORT int rcl_subscription_fini(void *subscription, void *owner)
+{
+  remove_entry(subscription);
+  return real_rcl_subscription_fini()(subscription, owner);
+}
+
+/* The result of taking a message: where the gate is closed, as if there had been none. */
+static int take_result(const void *subscription, int result)
+{
+  struct entry *entry = result == 0 ? find_entry(subscription) : NULL;
+  if (!entry)
+    return result;
+  bool open = atomic_load_explicit(&entry->port->gate, memory_order_acquire) == OPEN;
+  if (open && atomic_load_explicit(&entry->port->flags, memory_order_acquire) & SHUT)
+    open = now_ns() >= atomic_load(&page->head.lease);
+  count_call(entry->port, open);
+  return open ? 0 : TAKE_FAILED;
+}
+
+EXPORT int rcl_take(const void *subscription, void *message, void *info, void *allocation)
+{
+  return take_result(subscription, real_rcl_take()(subscription, message, info, allocation));
+}
+
+EXPORT int rcl_take_sequence(const void *subscription, size_t number, void *messages, void *infos, void *allocation)
+{
+  return take_result(subscription, real_rcl_take_sequence()(subscription, number, messages, infos, allocation));
+}
+
+EXPORT int rcl_take_serialized_message(const void *subscription, void *message, void *info, void *allocation)
+{
+  return take_result(subscription, real_rcl_take_serialized_message()(subscription, message, info, allocation));
+}
+
+EXPORT int rcl_take_loaned_message(const void *subscription, void **message, void *info, void *allocation)
+{
+  int result = take_result(subscription, real_rcl_take_loaned_message()(subscription, message, info, allocation));
+  if (result == TAKE_FAILED && *message) {
+    real_rcl_return_loaned_message_from_subscription()(subscription, *message);
+    *message = NULL;
+  }
+  return result;
+}
