@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Final, Literal, TypeAlias
 
-from msgspec import Meta
+from msgspec import Meta, structs
 
 from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec
@@ -96,6 +96,12 @@ class SystemCondition(Form, frozen=True, omit_defaults=False, forbid_unknown_fie
     faults: Annotated[list[str], Meta(description="what is missing or worse than it should be")] = []
     unknown: Annotated[list[str], Meta(description="what is not measurable here")] = []
     slow: Annotated[list[str], Meta(description="outputs somewhat below the rates that they guarantee: no faults")] = []
+
+    @property
+    def besides(self) -> str:
+        """What the headline has besides the state and the faults."""
+        rates = [f"below its rate: {_some(self.slow)}"] if self.slow else []
+        return "; ".join([*rates, *([f"not measurable here: {'; '.join(self.unknown)}"] if self.unknown else [])])
 
 
 def seconds_in_words(value: float) -> str:
@@ -345,6 +351,15 @@ def management_unknown(instance: str, starting: Sequence[str], *, planned: bool)
     return Assessment(instance, "not_measurable", words)
 
 
+def management_not_seen(instance: str, *, planned: bool) -> Assessment:
+    """What answers for an instance that is removed did not say in time whether a lifecycle manager would notice."""
+    words = (
+        f"whether a lifecycle manager deactivates its nodes as {instance} {'ends' if planned else 'ended'}: what "
+        f"answers for {instance} {'does' if planned else 'did'} not look at the graph in time"
+    )
+    return Assessment(instance, "not_measurable", words)
+
+
 def will_end_with(node: str, words: str, instance: str, *, replaced: bool) -> Assessment:
     """A plan ends a process that has another node; ``words`` say what that does. ``replaced``: a new one is started."""
     again = "; whether the new instance has it is not known" if replaced else ""
@@ -542,10 +557,9 @@ def system_condition(
     if answering is not None and answering < running:
         run += f", {running - answering} of them without an answer"
     reasons = f": {_some(faults)}" if faults else ""
-    besides = f"; not measurable here: {'; '.join(unknown)}" if unknown else ""
-    rates = f"; below its rate: {_some(slow)}" if slow else ""
     state: ConditionState = "degraded" if faults or running < nodes else "up"
-    return SystemCondition(state, f"{state}, {run}{reasons}{rates}{besides}", [*faults], [*unknown], [*slow])
+    found = SystemCondition(state, f"{state}, {run}{reasons}", [*faults], [*unknown], [*slow])
+    return structs.replace(found, headline=f"{found.headline}; {found.besides}") if found.besides else found
 
 
 def has_exited(instance: str) -> str:

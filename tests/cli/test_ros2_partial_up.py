@@ -137,7 +137,7 @@ node ends : Ends
     # A later change neither needs nor restores them, nor runs the set-up again; nor does the next manager.
     restarted = midstride("restart", "driver", "--yes", timeout=60)
     assert restarted.status == 0, restarted.out + restarted.err
-    assert "missing does not run, and stays so" in restarted.out
+    assert "missing does not run, and this change does not start it" in restarted.out
     os.kill(midstride.manager("r9"), signal.SIGKILL)
     again = midstride("up", str(file), "-d", timeout=60)
     assert again.status == 3 and len(ran.read_text().splitlines()) == 1, again.out + again.err

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -56,6 +58,31 @@ def say(publisher: Any, released: bool) -> None:
     publisher.publish(Bool(data=released))
 
 
+PROGRAM = """
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Bool
+rclpy.init()
+node = rclpy.create_node("killable")
+latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+publisher = node.create_publisher(Bool, "/estop/released", latched)
+publisher.publish(Bool(data=True))
+rclpy.spin(node)
+"""
+# For how long the graph shows a process that was killed (s): Fast DDS's lease.
+LEASE = 20.0
+
+
+@contextmanager
+def killable_publisher() -> Iterator[subprocess.Popen[bytes]]:
+    program = subprocess.Popen([sys.executable, "-c", PROGRAM])
+    try:
+        yield program
+    finally:
+        program.kill()
+        program.wait()
+
+
 def until_status(midstride: Midstride, because: str | None) -> None:
     """Wait until `status` says that the requirement holds (None), or why it does not."""
     deadline = time.monotonic() + 30
@@ -100,6 +127,15 @@ def test_changes_wait_for_what_they_require(midstride: Midstride, tmp_path: Path
     with other_program("mistaken") as mistaken:
         publisher(mistaken, latched=False, type_="String")
         until_status(midstride, "std_msgs/msg/String is published there")
+    # A program that is killed says no more, long before its lease has run out.
+    node.destroy_publisher(volatile)
+    with killable_publisher() as program:
+        until_status(midstride, None)
+        program.kill()
+        program.wait()
+        killed = time.monotonic()
+        until_status(midstride, "no publisher")
+        assert time.monotonic() - killed < LEASE
     # A lock and the requirement outlive the manager, whose components go on.
     assert midstride("lock", "--reason", "moving", "--by", "alice").status == 0
     components = midstride.components("talker")

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
-from midstride.errors import PlanRefused
-from midstride.foreign import lifecycle_managers
+from midstride.errors import CommandRefused, PlanRefused
+from midstride.foreign import gated_agent, lifecycle_managers
 from midstride.foreign.gated_agent import GRAPH_LOOK
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.lifecycle_managers import LifecycleManager, reason_to_stay
@@ -101,7 +101,7 @@ node manager : Manager
 )
 
 
-def starting(folder: Path, body: Callable[[Manager, StartingRos], Awaitable[None]]) -> None:
+def starting(folder: Path, body: Callable[[Manager, StartingRos], Awaitable[None]], text: str = STARTING) -> None:
     """Have ``body`` begin as soon as the planner and its manager have been started."""
     simulator = StartingRos(folder / "gates")
 
@@ -109,7 +109,7 @@ def starting(folder: Path, body: Callable[[Manager, StartingRos], Awaitable[None
         simulator.nodes["planner"].state = ACTIVE
         await body(manager, simulator)
 
-    simulated.managed(folder, STARTING, begun, simulator=simulator)
+    simulated.managed(folder, text, begun, simulator=simulator)
 
 
 def later(simulator: StartingRos, seconds: float, *, topics: list[str], calls: bool) -> None:
@@ -256,6 +256,41 @@ def test_what_no_manager_calls_once_all_have_started_is_known_not_to_be_managed(
         outcome = await manager.change(RESTART)
         assert (outcome.outcome, outcome.because) == ("done", None)
         assert outcome.continuity and "lifecycle manager" not in outcome.continuity.headline
+
+    starting(tmp_path, body)
+
+
+def test_what_the_specification_says_of_a_manager_needs_no_graph(tmp_path: Path) -> None:
+    stated = 'parameters { autostart = true  node_names = ["planner"] }'
+    text = STARTING.replace('run "manager" gate none', f'run "manager" gate none {stated}')
+
+    async def body(manager: Manager, simulator: StartingRos) -> None:
+        simulator.seen["/planner"] = []
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        with pytest.raises(PlanRefused, match="lifecycle manager /manager has a bond of 4 s with /planner"):
+            await manager.plan(RESTART)
+        assert loop.time() == begun and simulator.active() == ["planner"]
+        assert (await manager.change(PlanRequest(remove=("manager",)))).outcome == "done"
+        assert (await manager.change(RESTART)).outcome == "done"
+
+    starting(tmp_path, body, text)
+
+
+def test_what_a_plan_could_not_ask_is_said_to_be_unknown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def hung(*_: object) -> None:
+        raise CommandRefused("no answer")
+
+    async def body(manager: Manager, simulator: StartingRos) -> None:
+        later(simulator, 0.0, topics=["/diagnostics"], calls=False)
+        await asyncio.sleep(2 * GRAPH_LOOK)
+        monkeypatch.setattr(gated_agent.ForeignAgent, "_look", hung)
+        outcome = await manager.change(PlanRequest(remove=("planner",)))
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        assert outcome.continuity and f"{UNKNOWN}ended: what answers for planner did not look" in (
+            outcome.continuity.headline
+        )
+        assert f"{UNKNOWN}ends: what answers for planner does not look" in str(outcome.plan)
 
     starting(tmp_path, body)
 

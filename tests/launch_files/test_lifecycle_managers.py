@@ -123,6 +123,7 @@ def test_the_command_passes_what_is_asked_for(tmp_path: Path) -> None:
         ({"node_names": ["a"], "autostart": False, "bond_timeout": 0.0}, ("/robot/a",), False),
         ({"node_names": ["a"], "autostart": True, "bond_timeout": 0}, ("/robot/a",), False),
         ({"node_names": ["a"]}, (), True),
+        ({"node_names": ["a"], "bond_timeout": 4.0}, ("/robot/a",), True),
         ({"node_names": "a", "autostart": True}, (), True),
         ({"autostart": True, "bond_timeout": 2.0}, (), True),
     ],

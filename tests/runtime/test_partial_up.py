@@ -341,7 +341,9 @@ def test_a_later_change_neither_needs_nor_restores_it(
         assert not manager.system.has_instance("talker") and "talker" in manager.specification.nodes
         assert [each.name for each in (await manager.status()).crashed] == ["talker"]
         assert outcome.plan is not None and outcome.plan.remarks
-        assert outcome.plan.remarks[0] == "talker does not run, and stays so: `midstride restart talker` restores it"
+        assert outcome.plan.remarks[0] == (
+            "talker does not run, and this change does not start it: `midstride restart talker` restores it"
+        )
 
     up(talkers(programs), tmp_path, programs, body)
 

@@ -202,7 +202,10 @@ def _problems(status: Status) -> Iterable[Text]:
         next_ = [] if crash.respawn is None else [crash.respawn.words]
         if crash.remedy and not (crash.respawn and crash.respawn.restarting):
             next_.append(crash.remedy)
-        problems.append("; ".join([crash.words, *next_]))
+        if crash.words not in status.condition.headline:
+            problems.append("; ".join([crash.words, *next_]))
+        elif next_:  # the heading has the reason
+            problems.append(f"{crash.name}: {'; '.join(next_)}")
     problems += [words for words in (status.unwritten, status.damaged) if words]
     return [Text(problem, style="red") for problem in problems]
 

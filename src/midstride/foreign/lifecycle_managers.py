@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from midstride.foreign.services import NoAnswer, NodeServices
-from midstride.model.lifecycle_management import BOND_TIMEOUT, NODE_NAMES
+from midstride.model.lifecycle_management import BOND_TIMEOUT, NODE_NAMES, broken_bond
 
 # How long the parameters of a manager are remembered, and how long it may take to say them (s). It reads them once.
 _REMEMBERED: Final = 10.0
@@ -43,22 +43,15 @@ def reason_to_stay(node: str, manager: LifecycleManager, parameters: Mapping[str
     if isinstance(parameters.get(NODE_NAMES), list) and isinstance(timeout, float | int):
         if timeout <= 0:  # Nav2's manager asks for states only after it has changed them
             return None
-        return _broken_bond(node, manager.name, f" of {timeout:g} s")
+        return broken_bond(node, manager.name, timeout)
     if manager.bond:
-        return _broken_bond(node, manager.name, "")
+        return broken_bond(node, manager.name, None)
     if manager.asks:
         return (
             f"lifecycle manager {manager.name} may ask {node}/get_state at any time, would find no such service any "
             "more, and may then deactivate all of its nodes"
         )
     return None
-
-
-def _broken_bond(node: str, manager: str, seconds: str) -> str:
-    return (
-        f"lifecycle manager {manager} has a bond{seconds} with {node}, which another process cannot continue, and "
-        "deactivates all of its nodes when it breaks"
-    )
 
 
 class LifecycleManagers:

@@ -28,6 +28,7 @@ from midstride.plan.change_builder import change_between
 from midstride.plan.forms.plan_forms import PlanForm, plan_form
 from midstride.plan.forms.request_form import decode_request
 from midstride.plan.goals_in_progress import with_time_for_goals
+from midstride.plan.lifecycle_bonds import require_unbroken_bonds
 from midstride.plan.request import PlanRequest
 from midstride.plan.strategies.registry import planner
 from midstride.runtime.change.lost_endpoints import unseen_endpoints
@@ -143,6 +144,7 @@ def _for_file(specification: Specification, request: PlanRequest, within: float 
     change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
     detours = request.detours and strategy == "minimal"
     plan = with_time_for_goals(planner(strategy, within, detours=detours)(change))
+    require_unbroken_bonds(plan)
     return plan_form(replace(plan, besides=tuple(unseen_endpoints(plan))), explain=request.explain)
 
 

@@ -227,10 +227,11 @@ def _show_how_it_came_up(
         click.echo(f"Degraded: {degraded_line(each)}")
     for line in missing_lines(answer):
         click.echo(line)
-    said = answer.degraded or answer.missing  # why it is not up, line by line
     condition = found.condition
-    if (not said and condition.state != "up") or condition.unknown or condition.slow:
-        click.echo(f"{condition.headline[0].upper()}{condition.headline[1:]}.")
+    # Why it is not up has been said line by line.
+    words = condition.besides if answer.degraded or answer.missing else condition.headline
+    if words and (condition.state != "up" or condition.unknown or condition.slow):
+        click.echo(f"{words[0].upper()}{words[1:]}.")
     if pending:
         click.echo(f"{not_yet_judged(pending)}; `midstride status` shows it.")
     if http is not None:

@@ -95,6 +95,8 @@ class ActionDriver:
     moved: dict[str, StateMove] = field(default_factory=dict)
     # By instance: what state of its predecessor it continues without, and why.
     own_state: dict[str, str] = field(default_factory=dict)
+    # The instances that were ended although it was not seen last whether a lifecycle manager would notice.
+    unseen: set[str] = field(default_factory=set)
     fences: Fences = field(init=False)
     modes: ModeChanges = field(init=False)
     settings: ParameterSettings = field(init=False)
@@ -250,7 +252,8 @@ class ActionDriver:
                 self._require_successor(instance)
                 if not self.rolling_back:
                     component = self.configuration.component(instance)
-                    await require_unmanaged_at_its_end(self.client, instance, component)
+                    if not await require_unmanaged_at_its_end(self.client, instance, component):
+                        self.unseen.add(instance)
                 await self._change_answering(instance, runs=True)
                 await self._remove(action, budget)
                 await self._change_answering(instance, runs=False)  # if it did not respond

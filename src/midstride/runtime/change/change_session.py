@@ -15,6 +15,7 @@ from typing import Final
 
 from msgspec import UNSET, UnsetType, structs
 
+from midstride import verdicts
 from midstride.codec.parameter import from_json
 from midstride.errors import BackendError, ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
@@ -134,8 +135,8 @@ class ChangeSession:
             _plan, request, system.specification, system.configuration, values, measured, orders, away, unknown, said
         )
         require_arbiters(plan)
-        await require_unmanaged(plan, self.client)
-        left = (f"{role} does not run, and stays so: {system.remedy(role)}" for role in away)
+        unseen = await require_unmanaged(plan, self.client)
+        left = (f"{role} does not run, and this change does not start it: {system.remedy(role)}" for role in away)
         asked = ((old, system.life.latest(old)) for old in plan.change.replaced)
         unread = [
             unread_parameters(plan.change.instance(old), None if latest is None else latest.state)
@@ -151,6 +152,7 @@ class ChangeSession:
             *planned_transfers(plan, system.life.latest_states),
             *names_after(plan, system.life.latest_states),
             *nodes_that_will_end(plan, others),
+            *(verdicts.management_not_seen(name, planned=True) for name in unseen),
         )
         in_turn = answered_in_turn(plan, system.life.latest_states)
         remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks)
@@ -388,7 +390,10 @@ class ChangeSession:
             remaining_degradations=remaining,
             verdict=change.verdict,
         )
-        ended = tuple(nodes_that_ended(change, self.launcher.ended_with, system.configuration, self.others.look()))
+        ended = (
+            *nodes_that_ended(change, self.launcher.ended_with, system.configuration, self.others.look()),
+            *(verdicts.management_not_seen(name, planned=False) for name in sorted(driver.unseen)),
+        )
         continuity = change_assessment(
             outcome,
             plan,

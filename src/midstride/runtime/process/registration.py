@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Final, Literal
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
-from midstride.model.contract import NOTHING, Predicate, explain
+from midstride.model.contract import NOTHING, Contract, Predicate, explain, format_number
 from midstride.model.graph_names import resolved
 from midstride.wire.state import Endpoint
 
@@ -85,8 +85,24 @@ def _functionality(
         for output in declared.outputs:
             guarantee, own_guarantee = promised.guarantee(output), kept.guarantee(output)
             if guarantee is not NOTHING and (clauses := explain(own_guarantee, guarantee)):
-                yield f"{where} guarantees {own_guarantee} on {output} instead of {guarantee} ({', '.join(clauses)})"
+                said = f"{where} guarantees {own_guarantee} on {output} instead of {guarantee} ({', '.join(clauses)})"
+                yield said + _remedy(output, own_guarantee, guarantee)
         yield from _assumptions(component, declared, where, promised, kept)
+
+
+def _remedy(output: str, own: Contract, needed: Contract) -> str:
+    """What to write in the code of a mode that states nothing, or no rate, of ``output``."""
+    if own is NOTHING:
+        return f"; name it in the mode's outputs=[{output}]"
+    if not isinstance(needed, Predicate):
+        return ""
+    if own.rate is None and needed.rate is not None:
+        rate = format_number(needed.rate)
+        return (
+            f"; state it in the mode's guarantees={{{output}: {rate}}}, or have the mode called at it by rate={rate}, "
+            "or leave the rate out of the specification"
+        )
+    return ""
 
 
 def _assumptions(

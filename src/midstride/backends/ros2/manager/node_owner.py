@@ -5,6 +5,7 @@ Fast DDS names the process of an endpoint; of any middleware, the control node o
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -25,9 +26,9 @@ ELSEWHERE: Final = "whose it is, is not known here: it is on another computer, o
 def node_owner(graph: Graph, node: str, control: Path) -> str:
     """Return which program has the node of that full name, beside those of the system with this folder of sockets."""
     shown = graph.processes()
-    here = next((process.host for name, process in shown if name == graph.own_name), None)
+    here = _host_in(shown, graph)
     own = [process for name, process in shown if name == node]
-    pids = [pid for process in own for pid in _pids(process, here)]
+    pids = [pid for process in own for pid in pids_of(process, here)]
     others = [pid for pid in pids if environment_value(pid, ENV_CONTROL) != str(control.absolute())]
     if pids:
         return described((others or pids)[0])
@@ -55,7 +56,16 @@ def described(pid: int) -> str:
     return f"it is process {pid}" + (f" (`{words}`)" if words else "")
 
 
-def _pids(process: NodeProcess, here: bytes | None) -> list[int]:
+def host_of(graph: Graph) -> bytes | None:
+    """How the middleware names this computer, None where it does not."""
+    return _host_in(graph.processes(), graph)
+
+
+def _host_in(shown: Iterable[tuple[str, NodeProcess]], graph: Graph) -> bytes | None:
+    return next((process.host for name, process in shown if name == graph.own_name), None)
+
+
+def pids_of(process: NodeProcess, here: bytes | None) -> list[int]:
     """The processes of this computer that it may be, of which the middleware names the number modulo PIDS.
 
     One in another container may have the number of any process: so it has to have loaded Fast DDS.

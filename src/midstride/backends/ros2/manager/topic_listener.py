@@ -13,6 +13,7 @@ from midstride.backends.last_message import EVERY, KEPT, LastMessage
 from midstride.backends.ros2 import middleware
 from midstride.backends.ros2.component.port_endpoints import profile_of
 from midstride.backends.ros2.manager.graph import Graph
+from midstride.backends.ros2.manager.publisher_processes import PublisherProcesses
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import Predicate, QoS
 from midstride.runtime.backend_protocol import HeardMessage
@@ -41,6 +42,7 @@ class RosListener:
         self._node, self._graph, self._topic, self._type, self._now = node, graph, topic, assumption.type, now
         self._rmw = middleware.of_this_process()
         self._last = LastMessage(assumption)
+        self._processes = PublisherProcesses(graph)
         self._every, self._kept = self._subscription(EVERY), self._subscription(KEPT)
         self._publishers: frozenset[str] = frozenset()
         self._asked = now()
@@ -55,7 +57,7 @@ class RosListener:
             return HeardMessage(problem=f"the middleware cannot be asked: {error}")
 
     def _heard(self) -> HeardMessage:
-        infos = self._graph.living_publishers(self._topic)
+        infos = self._processes.living(self._graph.living_publishers(self._topic))
         if others := sorted({info.topic_type for info in infos} - {self._type}):
             return HeardMessage(publishers=len(infos), problem=f"{', '.join(others)} is published there")
         self._take(self._kept, kept=True)
