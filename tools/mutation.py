@@ -276,7 +276,7 @@ class Recorded:
     reached: dict[str, Reached] = field(default_factory=dict)
 
     def chosen(self, mutant: Mutant, budget: float) -> list[str]:
-        """Those that reach the lines of ``mutant``, in the order in which they are asked, for ``budget`` seconds."""
+        """The tests that reach the lines of ``mutant``, in the order in which they are run, for ``budget`` seconds."""
         package = f"tests/{mutant.path.partition('/')[0]}/"
         module = Path(mutant.path).stem
         lines = (1 << mutant.last_line + 1) - (1 << mutant.line)
@@ -417,7 +417,7 @@ class Fork:
         return now - self.since > LONGEST
 
     def ended(self) -> int | None:
-        """Its status, negative for a signal; None while it runs."""
+        """The exit status, negative for a signal; None while it runs."""
         pid, status = os.waitpid(self.pid, os.WNOHANG)
         if not pid and self.limited and self._waits():
             os.kill(self.pid, signal.SIGKILL)

@@ -146,7 +146,7 @@ class Suite:
 
 
 def suites(options: argparse.Namespace) -> list[Suite]:
-    """Those that have tests, where `options` name folders, files or tests."""
+    """The suites that have tests, where `options` name folders, files or tests."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 2
     half = max(1, processors // 2)
     tool = {name: str(ROOT / "tools" / name) for name in ("in-venv", "with-kilted", "with-ros1")}

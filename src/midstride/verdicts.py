@@ -342,7 +342,7 @@ def not_looked_at(instance: str, because: str) -> Assessment:
 
 
 def management_unknown(instance: str, starting: Sequence[str], *, planned: bool) -> Assessment:
-    """It was not known yet of some instances whether they manage the lifecycle of one that is removed."""
+    """Say that it was unknown whether instances that were starting manage the lifecycle of one that is removed."""
     have = "had" if not planned else "has" if len(starting) == 1 else "have"
     words = (
         f"whether a lifecycle manager deactivates its nodes as {instance} {'ends' if planned else 'ended'}: "

@@ -121,7 +121,7 @@ class Spares:
             return None
 
     def _heard(self, spare: _Spare) -> None:
-        """It is ready, or its end of the socket has closed."""
+        """Note that ``spare`` is ready, or that its end of the socket has closed."""
         asyncio.get_running_loop().remove_reader(spare.channel)
         with suppress(OSError):
             spare.ready = spare.channel.recv(len(READY)) == READY
@@ -177,7 +177,7 @@ class Spares:
                 asyncio.get_running_loop().remove_reader(spare.channel)
 
     def _end(self, spare: _Spare) -> None:
-        """It exits when its socket closes."""
+        """End ``spare``, which exits when its socket closes."""
         self._forget(spare)
         spare.channel.close()
         in_background(fork_client.leave(spare.process), self._tasks)

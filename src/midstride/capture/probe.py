@@ -55,7 +55,7 @@ class ProbedGates(Protocol):
     """The gates of running nodes."""
 
     def ports(self) -> Collection[ProbedPort]:
-        """Those of the nodes that run."""
+        """The ports of the nodes that run."""
 
     def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> Window:
         """What passes within ``counting`` s, after ``settling`` s in which nothing counts.
@@ -159,7 +159,7 @@ def _judged(closed: ProbedPort, port: ProbedPort, trials: Sequence[_Trial], coun
 
 
 def probability(closed: int, opened: int) -> float:
-    """That of at most ``closed`` among all messages in a third of the time, if the rate is always the same."""
+    """The probability of at most ``closed`` of all messages in a third of the time, if the rate is constant."""
     total = closed + opened
     factorials = math.lgamma(total + 1)
     return math.fsum(

@@ -121,7 +121,7 @@ def _described(
 
 
 def lines(found: DryRun) -> Iterator[str]:
-    """The same for people."""
+    """The dry run in words."""
     yield f"{found.system} on {found.backend}: `up` would start these processes, in this order."
     for number, each in enumerate(found.processes, start=1):
         yield ""

@@ -41,7 +41,7 @@ def change(system: str | None, number: int | None) -> ChangeReport:
 
 
 def report(system: str | None, number: int | None) -> str:
-    """The same as an HTML file."""
+    """The report of a change as an HTML file."""
     workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
         return manager.text("/report", timeout=3 * READ_TIMEOUT, number=number)

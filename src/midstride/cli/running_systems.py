@@ -66,7 +66,7 @@ def _nothing_here() -> str:
 
 
 def find_workspace(system: str | None) -> Workspace:
-    """As :func:`find`, for what needs no manager: it may have exited."""
+    """The workspace of a system, for what needs no manager, which may have exited."""
     known = {workspace.name: workspace for workspace in Workspace.all()}
     if system is not None:
         return _named(system, known)
@@ -74,7 +74,7 @@ def find_workspace(system: str | None) -> Workspace:
 
 
 def find_records(system: str | None) -> Workspace:
-    """As :func:`find_workspace`, for what a system has recorded: one that is down counts if it is named, or none is up.
+    """The workspace of a system with records: one that is down counts if it is named, or if none is up.
 
     A note on standard error says that it is down.
     """

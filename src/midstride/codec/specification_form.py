@@ -445,7 +445,7 @@ def decode_specification(document: object) -> Specification:
 
 
 def decode_saved_specification(document: object) -> Specification:
-    """The same of what a manager has saved: by it a system runs, whatever its names are.
+    """Decode a saved specification, without checking names: a system runs by it already.
 
     Raises SpecificationError with every fault of form.
     """

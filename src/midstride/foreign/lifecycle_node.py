@@ -37,7 +37,7 @@ class LifecycleNode:
         return self._inactive + (0.0 if self._inactive_since is None else now - self._inactive_since)
 
     def handed_over(self, seconds: float) -> None:
-        """Its outputs were silent for so long before it was active."""
+        """Add the ``seconds`` for which its outputs were silent before it was active."""
         self._inactive += seconds
 
     def _note_state(self) -> None:

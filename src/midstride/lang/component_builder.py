@@ -332,7 +332,7 @@ def _not_stated_again(lazy: tuple[syntax.Name, ...], outputs: tuple[syntax.Name,
 def _served_again(
     served: tuple[syntax.ServerDeclaration, ...], outputs: tuple[syntax.Name, ...]
 ) -> tuple[syntax.ServerDeclaration, ...]:
-    """As with lazy outputs: one that is stated again is a server only where that says so."""
+    """The servers without those stated again as outputs, which are servers only where that says so."""
     stated = {output.text for output in outputs}
     return tuple(each for each in served if each.name.text not in stated)
 

@@ -94,7 +94,7 @@ def impact(problem: Problem, specification: Specification, configuration: Config
 
 
 def _degraded(configuration: Configuration, first: Iterable[FunctionalityRef]) -> list[FunctionalityRef]:
-    """Those of ``first`` that are below their normal modes, and those degraded as a consequence, nearest first."""
+    """The functionalities of ``first`` below their normal modes, and those degraded by them, nearest first."""
     found: dict[FunctionalityRef, None] = {}
     waiting = deque(dict.fromkeys(first))
     while waiting:

@@ -131,7 +131,7 @@ class NodeBuilder:
         return Node(entry.role, name, self._attachments(entry), values, policy, sections)
 
     def _other_sections(self, stated: _Stated) -> Iterator[ParameterSection]:
-        """Those that a further node in the process may read, which is none of the system's own nodes.
+        """The sections that a further node in the process may read, which is none of the system's own nodes.
 
         What a node is called that its program names is not known here: it may have its own name, or any other.
         """

@@ -132,7 +132,7 @@ class Bounds:
 
 
 def shown_path(name: Name) -> str:
-    """The same path, relative to where the file that names it is shown to be."""
+    """The path of ``name``, relative to where the file that names it is shown to be."""
     return os.path.normpath(os.path.join(os.path.dirname(name.span.source.name), name.text))
 
 

@@ -16,7 +16,7 @@ MAX_FILES: Final = 2048
 
 
 class ReadableFiles:
-    """Those below the folder of ``root``, below the folders that the user names, and below those of packages.
+    """The files below the folder of ``root``, below the folders that the user names, and below those of packages.
 
     ``installed``: folders of the workspaces that the user has sourced. A link there leads to a file that may be read:
     `colcon build --symlink-install` installs links to the sources.

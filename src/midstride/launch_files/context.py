@@ -77,7 +77,7 @@ class Context:
         self.variables, self.namespace, self.remaps, self.settings = {}, None, [], []
 
     def reset_environment(self) -> None:
-        """As launch was started with."""
+        """Restore the environment that launch was started with."""
         self.environment, self.variables_set = self.packages.environment, {}
 
     def variable(self, name: str, default: str | None = None) -> str:

@@ -126,7 +126,7 @@ def _value(node: ast.expr) -> Any:
 
 
 def _shown(value: Any) -> str:
-    """As Python writes it. The order in a set differs from run to run there; here it is sorted."""
+    """The text that Python writes for ``value``, but with the elements of a set in order, not in any."""
     if isinstance(value, frozenset):
         return f"{{{', '.join(sorted(map(repr, value)))}}}" if value else "set()"
     return str(value)

@@ -142,7 +142,7 @@ def _coerced_list(texts: list[str], wanted: tuple[type, bool] | None) -> list[Pl
 
 
 def _require_instance(value: Any, wanted: tuple[type, bool] | None) -> None:
-    """As YAML, a value has its type; text may have substitutions that give another."""
+    """Check the type of ``value``; text is allowed, as its substitutions may give another type."""
     if wanted is None:
         _allowed(value, True)
         return

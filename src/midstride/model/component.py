@@ -209,7 +209,7 @@ class FunctionalitySpec:
         raise KeyError(name)
 
     def parameters(self) -> frozenset[str]:
-        """Those that its modes set."""
+        """The names of the parameters that any mode sets."""
         return frozenset(name for mode in self.modes for name in mode.parameters)
 
     def on_entry(self, mode: Mode, values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
@@ -406,7 +406,7 @@ class ComponentSpec:
         return self._owners[output]
 
     def find_owner(self, output: str) -> FunctionalitySpec | None:
-        """The same, or None: for declarations that have not been checked yet."""
+        """The owner of ``output``, or None: for declarations that have not been checked yet."""
         return self._owners.get(output)
 
     def users(self, input_name: str) -> list[FunctionalitySpec]:

@@ -128,7 +128,7 @@ class Configuration:
         return self.component(ref.instance).functionalities[ref.functionality]
 
     def find_functionality(self, ref: FunctionalityRef) -> FunctionalitySpec | None:
-        """The same, or None where no such functionality is live."""
+        """The functionality ``ref``, or None where no such functionality is live."""
         instance = self.instances.get(ref.instance)
         return None if instance is None else instance.component.functionalities.get(ref.functionality)
 

@@ -145,7 +145,7 @@ def _relayed(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
 
 
 def _mode_parameters(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
-    """Those with parameters that modes set."""
+    """The problems of parameters that modes set."""
     owners: dict[str, str] = {}
     for functionality in component:
         for mode in functionality.modes:

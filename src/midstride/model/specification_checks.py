@@ -79,7 +79,7 @@ def check(specification: Specification) -> tuple[Problem, ...]:
 
 
 def errors(problems: Iterable[Problem]) -> list[Problem]:
-    """Those that make a specification unusable."""
+    """The problems that make a specification unusable."""
     return [problem for problem in problems if problem.severity == "error"]
 
 
@@ -182,7 +182,7 @@ def _node_problems(specification: Specification, node: Node, path: SubjectPath) 
 
 
 def _unfit(component: ComponentSpec, port: PortRef, connector: Connector, path: SubjectPath) -> Iterator[Problem]:
-    """As for the action ``attach``: the normal mode of an output, or the assumption of an input, must fit the topic."""
+    """The normal mode of an output, or the assumption of an input, must fit the topic, as for the action ``attach``."""
     owner = component.find_owner(port.port)
     if port.port in component.inputs:
         stated: Contract = component.inputs[port.port]

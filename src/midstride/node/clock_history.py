@@ -64,7 +64,7 @@ class ClockHistory:
         return 0.0 if last is None else (steady - last[0]) / 1e9
 
     def speed(self, steady: int) -> float:
-        """Its seconds per second of the steady clock; 0 while it stands still, or nothing is known."""
+        """Seconds of the clock per second of the steady one; 0 while it stands still, or nothing is known."""
         last = self._last
         if last is None or self.still_for(steady) > STILL:
             return 0.0

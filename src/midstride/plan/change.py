@@ -158,7 +158,7 @@ class Change:
         return {new: tuple(swaps) for new, swaps in found.items()}
 
     def _outputs(self, attachments: Iterable[PortAttachment]) -> dict[str, list[PortAttachment]]:
-        """Those of outputs, by instance."""
+        """The attachments of outputs, by instance."""
         found: dict[str, list[PortAttachment]] = {}
         for port, connector in attachments:
             if self.is_output(port):

@@ -99,7 +99,7 @@ class Levels:
         return found
 
     def fallen(self, configuration: Configuration, roles: Iterable[str]) -> dict[FunctionalityRef, int]:
-        """The same for several roles."""
+        """The levels below the baseline of the functionalities of ``roles``, where they are below."""
         return {ref: loss for role in roles for ref, loss in self.below(configuration, role).items()}
 
     def weight(self, ref: FunctionalityRef) -> float:

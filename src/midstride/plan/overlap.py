@@ -173,7 +173,7 @@ class _Neighbours:
         return not any(topic(connector) in exchanged for name in own for connector in self._connectors(name))
 
     def _connectors(self, instance: str) -> set[str]:
-        """Those that an instance is attached to at some time during the plan."""
+        """The connectors that an instance is attached to at some time during the plan."""
         live = instance in self._change.start.instances
         before = self._change.start.attached_ports(instance) if live else ()
         return {*self._attached[instance], *(connector for _, connector in before)}

@@ -99,7 +99,7 @@ class PlanRequest:
         return target
 
     def for_roles(self, role_of: Mapping[str, str]) -> PlanRequest:
-        """The same request where an instance is named (``role_of`` has its role): a request is for its role."""
+        """The request with the role of each instance that it names (``role_of`` has them): a request is for roles."""
 
         def role(name: str) -> str:
             return role_of.get(name, name)

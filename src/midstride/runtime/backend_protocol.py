@@ -138,7 +138,7 @@ class OtherNode:
 
     @property
     def words(self) -> str:
-        """Its name, and what others may rely on."""
+        """The name of the node, and what others may rely on."""
         does = ["a second one of that name"] if self.namesake else []
         does += [f"publishes on {', '.join(self.publishes)}"] if self.publishes else []
         does += [f"serves {', '.join(self.serves)}"] if self.serves else []
@@ -163,7 +163,7 @@ class OtherNodes:
 
     @property
     def in_words(self) -> str:
-        """As `node /a` or `nodes /a, /b`."""
+        """The nodes in words, such as `node /a` or `nodes /a, /b`."""
         return f"node{'s' if len(self.nodes) > 1 else ''} {', '.join(self.names)}"
 
 

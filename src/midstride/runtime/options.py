@@ -27,7 +27,7 @@ class SystemOptions(msgspec.Struct, frozen=True):
     strict: bool = False
 
     def with_(self, later: SystemOptions) -> SystemOptions:
-        """These, and what a later ``up`` asks for besides; `midstride down` ends them."""
+        """The options with what a later ``up`` asks for besides; `midstride down` ends them."""
         return SystemOptions(
             self.use_sim_time or later.use_sim_time,
             self.middleware_settings and later.middleware_settings,

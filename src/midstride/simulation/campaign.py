@@ -50,7 +50,7 @@ class Runs:
         self._next = -1
 
     def run(self, seed: int) -> SeedRun:
-        """That seed, after those that change the same system before it, unless they have just been run."""
+        """Run ``seed``, after those that change the same system before it, unless they have just been run."""
         if seed != self._next or _first(seed, self._scenario) == seed:
             self.close()
             for earlier in range(_first(seed, self._scenario), seed):

@@ -39,7 +39,7 @@ class Platform(Simulator):
         return handle
 
     async def end_unexpectedly(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
-        """As :meth:`end`, by a manager that another one has superseded: that one does not expect the exit."""
+        """End ``instance`` by a manager that another one has superseded, which does not expect the exit."""
         if (process := self.standing(instance)) is None:
             return []
         process.terminate()

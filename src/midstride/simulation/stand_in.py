@@ -66,7 +66,7 @@ def _stand_in(component: ComponentSpec, keeps_state: bool) -> ComponentSpec:
 
 
 def _with_the_api(component: ComponentSpec) -> ComponentSpec:
-    """The same for a program that uses Midstride's API, which has no gate and sets parameters in its code.
+    """The ``component`` as a program with Midstride's API has it, which has no gate and sets parameters in its code.
 
     Without its conditions: the messages of stand-ins have no values that could meet them.
     """
@@ -166,7 +166,7 @@ class StandIn(ThreadlessProcess):
         return self._stand_in.modes
 
     def open_outputs(self) -> set[tuple[str, str]]:
-        """Its outputs with the topics on which whatever they write is published: no gate or cut decides about it."""
+        """The outputs, with the topics on which whatever they write is published: no gate or cut decides about it."""
         return {
             (output.name, link.topic)
             for output in self._stand_in.outputs
@@ -175,7 +175,7 @@ class StandIn(ThreadlessProcess):
         }
 
     def outputs_on(self, topic: str) -> list[str]:
-        """Its outputs that are attached to ``topic``."""
+        """The names of the outputs that are attached to ``topic``."""
         return [output.name for output in self._stand_in.outputs if output.link(topic) is not None]
 
     def _run_thread(self, work: Callable[[], None] | None) -> ThreadYield:

@@ -87,7 +87,7 @@ class _OnLoopOnceStarted(_OnLoop):
 
 
 class ThreadlessProcess(SimulatedProcess):
-    """The same as its base, for programs that do not block."""
+    """A simulated process without a thread, for programs that do not block."""
 
     def _new_thread(self, context: contextvars.Context) -> CooperativeThread:
         thread = _OnLoop(self.instance, self._program.run, context)

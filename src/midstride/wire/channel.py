@@ -75,12 +75,12 @@ class Channel:
         return await self.send(_request(command, revision, id), timeout)
 
     def begin(self, command: Command[R], *, revision: int | None = None, id: str = "") -> asyncio.Task[Reply]:
-        """The same without a limit of time: a task, to be cancelled where the reply is not waited for any longer."""
+        """Send ``command`` without a limit of time: a task, to be cancelled when the reply is no longer waited for."""
         self._require_open()
         return asyncio.get_running_loop().create_task(self._exchange(_request(command, revision, id)))
 
     async def send(self, request: frames.Request, timeout: float) -> Reply:
-        """As :meth:`request`, for a complete request. Its id must not be that of one under way."""
+        """Send a complete request, whose id must not be that of one under way; see :meth:`request`."""
         self._require_open()
         words = f"{self.greeting.instance} did not answer within {timeout:.3g} s"
         return await in_time(timeout, self._exchange(request), words)

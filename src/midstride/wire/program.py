@@ -48,7 +48,7 @@ class FileFingerprint(WireValue, frozen=True, kw_only=True):
         return cls(path=path, size=found.st_size, modified=found.st_mtime_ns, digest=digest)
 
     def unchanged(self) -> FileFingerprint | None:
-        """The same file as it is now; None if it has another content, or does not exist any more.
+        """The file as it is now; None if it has another content, or does not exist any more.
 
         Only its time of modification may differ. Ask the result the next time: it does not read the file again.
         """

@@ -46,7 +46,7 @@ class UndeclaredTopic(WireValue, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """As ``publishes on /chatter (std_msgs/msg/String)``."""
+        """The endpoint in words, such as ``publishes on /chatter (std_msgs/msg/String)``."""
         return f"{'publishes on' if self.output else 'subscribes to'} {self.topic} ({self.type})"
 
 
@@ -107,17 +107,17 @@ class MeasuredResponses(WireValue, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """As ``has not answered a request for 0.3 s, 50 ms are promised``."""
+        """The breach in words, such as ``has not answered a request for 0.3 s, 50 ms are promised``."""
         return f"{self.broken} for {duration_in_words(self.silent)}, {self.promised}"
 
     @property
     def promised(self) -> str:
-        """As ``50 ms are promised``."""
+        """The promise in words, such as ``50 ms are promised``."""
         return f"{duration_in_words(self.within)} are promised"
 
 
 def duration_in_words(seconds: float) -> str:
-    """As ``50 ms``, ``0.3 s``, ``12.5 s``: in ms below 0.1 s."""
+    """A duration such as ``50 ms``, ``0.3 s`` or ``12.5 s``: in ms below 0.1 s."""
     return f"{seconds * 1e3:.3g} ms" if seconds < 0.1 else f"{seconds:.1f} s" if seconds >= 10 else f"{seconds:.2g} s"
 
 

@@ -57,7 +57,7 @@ class CutClaim(Protocol):
         """The other side has it, or had it, in ``place``."""
 
     def take_freed(self) -> bool:
-        """As :meth:`take`, from another side that had it; False while it is not known whether that had the same one.
+        """Take the claim from another side that had it; False while it is unknown whether that had the same one.
 
         That side has then given it back, or its process has ended.
         """

@@ -63,9 +63,9 @@ def join(context: ProcessContext) -> Host:
 
 
 def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint] | None:
-    """Those of the program, as the master lists them; None if it does not know the program's node.
+    """The endpoints of the program, as the master lists them; None if it does not know the program's node.
 
-    One that takes any type has the type that is declared. Raises BackendError where the master does not answer in time.
+    An endpoint that takes any type has the declared type. Raises BackendError where the master does not answer in time.
     """
     master = Master(launching.master_uri(os.environ), host.node_name or "")
     with ThreadPoolExecutor(1) as beside:  # this thread may have an event loop

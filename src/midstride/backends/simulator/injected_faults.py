@@ -46,19 +46,19 @@ class Faults:
         self._failing: list[FailingCall] = []
 
     def kill(self, instance: str) -> None:
-        """As kill -9, at once."""
+        """Kill the process at once, like `kill -9`."""
         self._process(instance).kill()
 
     def freeze(self, instance: str, seconds: float) -> None:
-        """As SIGSTOP, and SIGCONT after ``seconds``: nothing in it runs, and nothing sent to it is lost."""
+        """Stop the process for ``seconds``, like SIGSTOP and SIGCONT: nothing in it runs, nothing sent is lost."""
         self._process(instance).freeze(seconds)
 
     def hang(self, instance: str, seconds: float) -> None:
-        """As a call of its code that returns after ``seconds``; its control thread answers meanwhile."""
+        """Block a call of its code for ``seconds``; its control thread answers meanwhile."""
         self._process(instance).hang(seconds)
 
     def stop_discovery(self, instance: str) -> None:
-        """As a deadlock of its middleware: its inputs receive nothing from publishers created from now on.
+        """Deadlock its middleware: its inputs receive nothing from publishers created from now on.
 
         These publishers count it as matched all the same, and what it publishes is received.
         """

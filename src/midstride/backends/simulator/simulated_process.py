@@ -169,12 +169,12 @@ class SimulatedProcess:
             self._thread.kill()
 
     def freeze(self, seconds: float) -> None:
-        """As SIGSTOP, and SIGCONT after ``seconds``."""
+        """Stop the process for ``seconds``, like SIGSTOP and SIGCONT."""
         self.thawed_at = max(self.thawed_at, self.clock.steady() + seconds)
         self._reacts_at = max(self._reacts_at, self.thawed_at)
 
     def hang(self, seconds: float) -> None:
-        """As a call of its code that returns after ``seconds``."""
+        """Block a call of its code for ``seconds``."""
         self._reacts_at = max(self._reacts_at, self.clock.steady() + seconds)
 
     def thaw(self) -> None:

@@ -42,7 +42,7 @@ class GatePolicy(Protocol):
         """Whether what is written now may be published."""
 
     def admits(self, link: OutputLink) -> bool:
-        """The same, and it will be: the other side of the cut publishes nothing from now on."""
+        """True where it passes, and will: the other side of the cut publishes nothing from now on."""
 
     def publish(self, link: OutputLink, message: Any) -> bool:
         """Publish and count ``message`` if it passes; whether it does."""
@@ -134,7 +134,7 @@ class OutputLink:
 
     @property
     def is_live(self) -> bool:
-        """The same for an author who acts on it."""
+        """True if the output publishes now what the author writes, so that acting on it makes sense."""
         return not self.fenced and (self.open or (self.cut is not None and self.cut.admits(self)))
 
     @property

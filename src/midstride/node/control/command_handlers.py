@@ -299,7 +299,7 @@ class CommandHandlers:
         return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
 
     def _parameters(self) -> dict[str, HeldParameter]:
-        """Those of the component, and those that are declared on the ROS node itself."""
+        """The parameters of the component, and those that are declared on the ROS node itself."""
         return {**self.host.parameters.held(), **self.parts.parameters}
 
     def _busy_words(self) -> str:

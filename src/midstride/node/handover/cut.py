@@ -48,7 +48,7 @@ def call_belongs_after(
     slot: int,
     clock: CutClock = "ros",
 ) -> bool:
-    """The same for a call of ``slots`` or of the message of ``info``.
+    """True if a call for ``slots``, or for the message of ``info``, belongs after the cut ``at``.
 
     ``slot``: which of the slots that a call accounts for counts, 0 for the first and 1 for the last. Where ``/clock``
     drives the ROS clock, slots are not on the clock of messages; then the moment of the write decides.

@@ -75,7 +75,7 @@ class RoleBounds:
         return self.of_roles(state) + room
 
     def of_roles(self, state: int) -> float:
-        """As :meth:`of`, of each role by itself, without the room that it needs others to make."""
+        """The bound of each role alone, without the room that it needs others to make; see :meth:`of`."""
         total = 0.0
         for place, mask in enumerate(self.masks):
             table, own = self._tables[place], state & mask

@@ -83,7 +83,7 @@ class PartLosses:
         return found
 
     def key(self, state: int) -> int:
-        """The same for states that differ only in which of two equivalent instances serves a role."""
+        """A key that is equal for states that differ only in which of two equivalent instances serves a role."""
         for mask, gone, come in self.equivalent:
             if state & mask and (not state & gone or state & come == come):
                 state &= ~mask

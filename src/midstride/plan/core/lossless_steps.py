@@ -54,7 +54,7 @@ class Ends:
         self._last: dict[Numbers, tuple[int, tuple[int, ...]]] = {}
 
     def never_absent(self, state: int, slack: float) -> Numbers:
-        """Those not begun in ``state`` of which the old one cannot go first for less than ``slack`` more."""
+        """The steps not begun in ``state`` whose old one cannot go first for less than ``slack`` more."""
         numbers = 0
         for number, each in enumerate(self.replacements):
             if each.extra < slack:
@@ -76,7 +76,7 @@ class Ends:
         return state
 
     def last(self, numbers: Numbers) -> tuple[int, tuple[int, ...]]:
-        """Those of ``numbers`` that can be made when all else is done: all of their actions, and these in order."""
+        """The steps of ``numbers`` that can be made when all else is done: all of their actions, in order."""
         found = self._last.get(numbers)
         if found is None:
             found = self._last[numbers] = self._made_last(numbers)

@@ -122,7 +122,7 @@ def cheapest_along(core: CoreResult, levels: Levels, constraints: Sequence[Const
 
 
 def _no_room(change: Change, resources: Sequence[str]) -> Iterator[str]:
-    """Those of the resources that are too scarce for everything new to be created before anything is removed."""
+    """The resources too scarce for everything new to be created before anything is removed."""
     configuration = change.start
     for resource in sorted(set(resources).intersection(scarce_resources(change))):
         names = [name for name in change.leaving if resource in configuration.component(name).resource_usage]
@@ -132,7 +132,7 @@ def _no_room(change: Change, resources: Sequence[str]) -> Iterator[str]:
 
 
 def _no_slots(change: Change, topics: Sequence[str]) -> Iterator[str]:
-    """Those of the topics on which the new outputs do not fit beside the old ones."""
+    """The topics on which the new outputs do not fit beside the old ones."""
     for name in sorted(set(topics).intersection(full_topics(change))):
         connector, old = change.start.context.connectors[name], (name, change.sibling(name))
         leave = " and ".join(str(port) for port, on in change.detached if on in old and change.is_output(port))

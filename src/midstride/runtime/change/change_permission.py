@@ -84,7 +84,7 @@ class ChangePermission:
         return "; ".join(found) or None
 
     def recorded_refusal(self, what: str, override: Override, *, recovery: bool = False) -> str | None:
-        """As :meth:`refusal`; a refusal, and what ``override`` ignores, are recorded as incidents of ``what``."""
+        """The :meth:`refusal`; it, or what ``override`` ignores, is recorded as an incident of ``what``."""
         because = self.refusal(override, recovery=recovery)
         if because is not None:
             self.events.add("forbidden", f"{what}: refused, since {because}")

@@ -61,12 +61,12 @@ class EarlyStarts:
         return True
 
     async def start_before(self, action: Create) -> None:
-        """As ``start``, before the step of ``action``, where its failure shows. Raises Superseded."""
+        """Start before the step of ``action``, in which a failure shows. Raises Superseded."""
         with suppress(StartFailed):
             await self._start_ahead(action)
 
     async def _start_ahead(self, action: Create) -> None:
-        """As ``start``, before its step. Raises Superseded: then this manager leaves no process that it has started.
+        """Start before the step. Raises Superseded: then this manager leaves no process that it has started.
 
         Before each step its intent is written, which only the manager with the lease can. Here, nothing is.
         """

@@ -33,7 +33,7 @@ HELD_LONGER: Final = 2.0
 
 @dataclass(slots=True)
 class ModeChanges:
-    """Those of one change."""
+    """The changes of modes that one change makes."""
 
     client: ComponentClient
     system: RunningSystem

@@ -27,7 +27,7 @@ from midstride.wire.state import ComponentState
 
 
 def unread_parameters(instance: Instance, state: ComponentState | None) -> str | None:
-    """That it is not known what was set on ``instance`` while it ran; None where that is known, or does not matter."""
+    """Why it is unknown what was set on ``instance`` while it ran; None where that is known, or does not matter."""
     if state is None or not state.unread_parameters:
         return None
     when = "since it last said its parameters" if state.parameters else "while it ran"
@@ -114,7 +114,7 @@ class ParameterTransfer:
         return instance.name in self.change.start.instances
 
     def _kept(self, instance: Instance, values: Values, unknown: Mapping[str, Origin] = _NONE) -> dict[str, Any]:
-        """Those of ``values``, of its predecessor, that ``instance`` is to have; what becomes of each is recorded."""
+        """The ``values`` of its predecessor that ``instance`` is to have; what becomes of each is recorded."""
         before, after = self.change.specification, self.change.target
         if instance.role not in before.nodes:
             return {}

@@ -214,7 +214,7 @@ class Reconciler:
             await self.reconcile()
 
     async def reconcile_all(self, because: str) -> None:
-        """The same for the whole system: after an earlier manager, any assumption may no longer hold."""
+        """Reconcile the whole system: after an earlier manager, any assumption may no longer hold."""
         self.pending, self._why_pending = dict.fromkeys(self.system.configuration.modes), because
         await self.reconcile()
         self._why_pending = _GONE_BEFORE

@@ -24,7 +24,7 @@ class GivenUp(Exception):
 
 @dataclass(slots=True)
 class CutTurns:
-    """Those of one round, in the order of the plan."""
+    """The turns of the hand-overs of one round, in the order of the plan."""
 
     _turns: list[CutTurn] = field(default_factory=list)
     _given_up: asyncio.Event = field(default_factory=asyncio.Event)
@@ -65,7 +65,7 @@ class CutTurns:
 
 @dataclass(slots=True, eq=False)
 class CutTurn:
-    """That of one hand-over: ``ready`` for its cut, which may have ``begun``, and has ``ended``.
+    """The turn of one hand-over: ``ready`` for its cut, which may have ``begun``, and has ``ended``.
 
     From the beginning of its cut on, it is not interrupted.
     """
@@ -91,5 +91,5 @@ class CutTurn:
 
 
 def only_turn() -> CutTurn:
-    """That of a hand-over with none beside it."""
+    """The turn of a hand-over with none beside it."""
     return CutTurns().add()

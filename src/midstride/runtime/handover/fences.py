@@ -81,7 +81,7 @@ class Fences:
         return self.client.clock.steady()
 
     def budget(self, instances: Collection[str]) -> StepBudget:
-        """That of a step that begins now. ``instances``: those that it may fence."""
+        """The time for a step that begins now, and which ``instances`` it may fence."""
         return StepBudget(self.client, instances, self.now() + self.wait)
 
     def hangs_already(self, instance: str) -> bool:

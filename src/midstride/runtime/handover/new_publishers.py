@@ -54,7 +54,7 @@ class NewPublishers:
         return (grid.readers or 0) - dead, [] if dead else grid.reader_ids
 
     async def attach_beside(self, swaps: Sequence[Swap], readers: Sequence[tuple[int, list[str]]]) -> None:
-        """As :meth:`attach`, and note which new publishers do not find all the :meth:`readers` of the old ones."""
+        """Attach, and note which new publishers do not find all the :meth:`readers` of the old ones."""
         matched = await self.attach(swaps, readers)
         for swap, (known, _), found in zip(swaps, readers, matched, strict=True):
             # Asked again if some are missing: the old one may have counted readers whose lease was about to expire.

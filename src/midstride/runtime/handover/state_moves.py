@@ -17,7 +17,7 @@ from midstride.wire.commands import MuteCommand, PrepareStateCommand
 
 @dataclass(slots=True)
 class StateMoves:
-    """Those of one change; ``predecessors`` is as :func:`midstride.plan.state_continuity.without_outputs` returns it.
+    """The moves of one change; ``predecessors`` come from :func:`midstride.plan.state_continuity.without_outputs`.
 
     ``move(old, new)`` moves the state of live components; ``keeps_own(old, new, because)`` is called where it cannot.
     """

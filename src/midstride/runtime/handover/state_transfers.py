@@ -36,7 +36,7 @@ def keeps_state(client: ComponentClient, instance: str) -> bool:
 
 
 def own_state(old: str, new: str, because: str, bulk: float | None = None) -> str:
-    """That ``new`` continues with its own state, and which of ``old`` it lacks; ``bulk``: when its bulk had moved."""
+    """Say that ``new`` continues with its own state, and what of ``old`` it lacks; ``bulk``: when the bulk moved."""
     if bulk is None:
         lacking = f"all that {old} had kept until {_time_of_day(time.time())}"
     else:
@@ -57,7 +57,7 @@ def _time_of_day(at: float) -> str:
 
 @dataclass(slots=True)
 class StateTransfers:
-    """Those of one hand-over, for ``pairs`` of old and new components.
+    """The transfers of one hand-over, for ``pairs`` of old and new components.
 
     If a transfer fails, so does the hand-over, unless state is not ``required``: then the new one continues with its
     own.

@@ -217,7 +217,7 @@ class Process:
 
 
 def _killed(pids: Iterable[int], seconds: float) -> list[RemainingProcess]:
-    """These, to be killed after they had so long to end."""
+    """The processes ``pids`` that still run, to be killed after they had ``seconds`` to end."""
     return [RemainingProcess(pid, name, seconds) for pid in pids if (name := reaper.program_name(pid)) is not None]
 
 

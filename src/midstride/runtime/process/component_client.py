@@ -110,7 +110,7 @@ class ComponentClient:
                 continue  # it exited before it registered; another process may start under the same name
 
     def endpoints(self, instance: str) -> list[Endpoint]:
-        """Those that the component's node had besides its ports when it registered; none before that."""
+        """The endpoints that the component's node had besides its ports when it registered; none before that."""
         registration = self._registrations.get(instance)
         if registration is None or not registration.done() or registration.exception() is not None:
             return []

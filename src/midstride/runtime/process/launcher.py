@@ -533,7 +533,7 @@ class Launcher:
 
 
 def killed_in_words(name: str, leader: int | None, process: RemainingProcess) -> str:
-    """That ``process`` of the instance ``name`` had to be killed; ``leader``: the number of the instance's own."""
+    """Say that ``process`` of the instance ``name`` had to be killed; ``leader``: the process id of the instance."""
     if process.pid is None:
         what = f"`{process.program}`, behind the relay {name},"
     elif leader is None or process.pid == leader:

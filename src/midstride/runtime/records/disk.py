@@ -54,7 +54,7 @@ class Database:
             return self.connection.execute(query, values).fetchall()
 
     def peek(self, query: str, values: Sequence[str | float | None]) -> list[tuple[Any, ...]] | None:
-        """The same without waiting: None while another thread uses the database, or where it cannot be read."""
+        """The rows of ``query``, without waiting; None while another thread uses the database, or on an error."""
         if not self._lock.acquire(blocking=False):
             return None
         try:
@@ -80,7 +80,7 @@ class Lease:
         self._held: Statement = (f"SELECT 1 FROM {table} WHERE key = 'holder' AND value = ?", self._holder)
 
     def write(self, database: Database, statements: Iterable[Statement]) -> None:
-        """As :meth:`Database.write`; the first one takes the lease. Raises Superseded if another manager has it."""
+        """Write ``statements``; the first call takes the lease. Raises Superseded if another manager has it."""
         if not self._acquired:
             database.write([self._acquire, *statements])
             self._acquired = True

@@ -84,7 +84,7 @@ class ModeRecorder:
             self._closed.append(structs.replace(self._open.pop(key), ended=at))
 
     def intervals(self, roles: Collection[str], since: float, remaining: Collection[str]) -> list[ModeInterval]:
-        """Those from ``since`` on, of ``roles`` and of each functionality that was ever below its best mode.
+        """The intervals from ``since`` on, of ``roles`` and of each functionality that was ever below its best mode.
 
         Instances that are not ``remaining`` have ended by now.
         """

@@ -20,7 +20,7 @@ class Attempts:
     runs_since: float | None = None
 
     def stopped(self, now: float) -> None:
-        """It does not run any more."""
+        """Note that it does not run any more."""
         if self.runs_since is not None:
             self.ran += now - self.runs_since
             self.runs_since = None

@@ -163,7 +163,7 @@ class Restorer(ReconciliationObserver):
         return self.session.permission.refusal(recovery=True)
 
     def _count(self, ref: FunctionalityRef, record: _Record, failed: str = "") -> None:
-        """It has fallen, or could not be restored: there is another attempt, or the last one has been made."""
+        """Count a fall or a failed attempt to restore; there is another attempt, or the last one has been made."""
         record.supported_since, record.conditional = None, False
         number = record.attempts.next(POLICY)
         if number is not None:

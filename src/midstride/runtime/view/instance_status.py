@@ -180,7 +180,7 @@ def endpoints(instance: Instance, state: ComponentState | None, reported: Sequen
 
 
 def namespace_of(role: str) -> str:
-    """As ``/`` or ``/front``."""
+    """The namespace of ``role``, such as ``/`` or ``/front``."""
     return f"/{role.rpartition('/')[0]}"
 
 

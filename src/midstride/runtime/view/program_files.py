@@ -43,7 +43,7 @@ class _Known:
     latest: dict[str, FileFingerprint] = field(default_factory=dict)
 
     def changed(self, files: list[FileFingerprint]) -> list[str]:
-        """Those of ``files`` that have changed. One that was touched is read again once, not at each call."""
+        """The ``files`` that have changed. One that was touched is read again once, not at each call."""
         now = {file.path: self.latest.get(file.path, file).unchanged() for file in files}
         self.latest |= {path: file for path, file in now.items() if file is not None}
         return [path for path, file in now.items() if file is None]

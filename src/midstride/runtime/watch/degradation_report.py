@@ -70,5 +70,5 @@ def _because(system: RunningSystem, role: str, ref: FunctionalityRef | None) -> 
 
 
 def degradations_in_words(degradations: Iterable[DegradedFunctionality]) -> str:
-    """The same in words, for an event."""
+    """The degradations in words, for an event."""
     return ", ".join(wording.lowered(each.functionality, each.after, each.before) for each in degradations)

@@ -43,7 +43,7 @@ class ReportedValues:
         return self._unknown.get(instance, {})
 
     def unknown_by_role(self, configuration: Configuration) -> dict[str, Mapping[str, Origin]]:
-        """The same for the live instance of each role."""
+        """The unknown values of the live instance of each role."""
         return {
             role: self.unknown_of(next(iter(names)))
             for role, names in configuration.instances_by_role.items()

@@ -32,7 +32,7 @@ def stretch(state: ComponentState | None) -> float:
 
 
 def stretch_of(client: ComponentClient, instance: str) -> float:
-    """As :func:`stretch`, for the state that ``instance`` last reported."""
+    """The :func:`stretch` of the state that ``instance`` last reported."""
     latest = client.life.latest(instance)
     return stretch(None if latest is None else latest.state)
 

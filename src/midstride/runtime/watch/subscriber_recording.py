@@ -136,7 +136,7 @@ class Recording(ChangeObserver):
                 self.recorded.append(RecordedInput(port, exchange, observation))
 
     async def _grid(self, old: PortRef) -> Grid | None:
-        """That of an old publisher; None if it does not answer: the hand-over reports that."""
+        """The grid of an old publisher; None if it does not answer: the hand-over reports that."""
         if self.client.life.responsive(old.instance) is None:
             return None
         try:

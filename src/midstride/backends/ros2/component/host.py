@@ -213,7 +213,7 @@ class Ros2Host:
         return client
 
     def leave_out(self, endpoint: Any) -> None:
-        """It is Midstride's own: :meth:`extra_endpoints` does not name it."""
+        """Leave ``endpoint``, one of Midstride's own, out of :meth:`extra_endpoints`."""
         self._ports.add(id(endpoint))
 
     def _destroy(self, destroy: Callable[[Any], object]) -> Callable[[Any], None]:

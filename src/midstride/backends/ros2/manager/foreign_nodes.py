@@ -61,7 +61,7 @@ log = logging.getLogger(__name__)
 
 
 class ForeignNodes:
-    """Those of one system. Their page and records are in ``folder``; their agents listen on ``transport``.
+    """The foreign nodes of one system, with page and records in ``folder`` and agents that listen on ``transport``.
 
     ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it;
     ``served(node)``: what the node serves; ``nodes_in(enclave)``: the full names of the nodes in it. To both of the
@@ -453,7 +453,7 @@ class ForeignNodes:
                 log.warning("%s; its process is ended all the same", error)
 
     def gone(self, instance: str) -> None:
-        """Its process has ended."""
+        """Forget ``instance``, whose process has ended."""
         parameter_file(self._folder, instance).unlink(missing_ok=True)
         if (task := self._finding.pop(instance, None)) is not None:
             task.cancel()

@@ -110,7 +110,7 @@ class Graph:
         return set(living.values())
 
     def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
-        """Those on ``topics``, by default on every topic, and the nodes that have them."""
+        """The endpoints on ``topics``, by default on every topic, and the nodes that have them."""
         instances = self._instances()
         nodes: set[str] = set()
         publishers: list[tuple[str, str]] = []

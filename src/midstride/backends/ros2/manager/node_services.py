@@ -47,7 +47,7 @@ async def _not_lost() -> bool:
 
 
 class RosNodeServices:
-    """Those of the node with the full name ``name``: a :class:`midstride.foreign.services.NodeServices`.
+    """The services of the node with the full name ``name``: a :class:`midstride.foreign.services.NodeServices`.
 
     No executor takes the responses: they are taken here, as soon as the middleware has them. The manager's ``node`` is
     not spun; of one that is, ``group`` keeps the executor away, and clients are made by :meth:`connect`.

@@ -26,7 +26,7 @@ class PublisherProcesses:
         self._known: dict[bytes, ProcessInfo | None] = {}
 
     def living(self, infos: Iterable[Any]) -> list[Any]:
-        """Those of the endpoints ``infos``, all that the graph shows, whose process is not known to have ended."""
+        """The endpoints of ``infos``, all that the graph shows, whose process is not known to have ended."""
         shown = [(info, self._graph.rmw.node_process(info)) for info in infos]
         processes = {process.key: process for _, process in shown if process is not None and process.pid is not None}
         new = processes.keys() - self._known.keys()
