@@ -292,6 +292,25 @@ def test_what_only_the_predecessor_receives_is_handled_by_the_successor_and_answ
     assert old.responses == {"1": b"1 by b"}
 
 
+def test_a_predecessor_passes_on_although_its_successor_begins_late() -> None:
+    """Until it begins, it refuses to say what it has received: its predecessor has stopped, and the reply is late."""
+
+    async def main() -> tuple[Instance, Instance]:
+        instances: dict[str, Instance] = {}
+        old, new = Instance("a", instances, is_open=True), Instance("b", instances, is_open=False)
+        await old.answering.stop(YieldCommand(address="b"))
+        old.receives("1")
+        await asyncio.sleep(PASSED)
+        assert old.answering.undecided() == ["1"] and not new.handled
+        await new.takes_over(old)
+        await asyncio.sleep(PASSED)
+        assert not old.answering.undecided()
+        return old, new
+
+    old, new = run(main())
+    assert (old.handled, new.handled, old.responses) == ([], ["1"], {"1": b"1 by b"})
+
+
 @pytest.mark.parametrize("raises", [True, False])
 def test_a_request_that_was_passed_on_and_gets_no_response_does_not_keep_the_predecessor(raises: bool) -> None:
     async def main() -> tuple[Instance, Instance]:

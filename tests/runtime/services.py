@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import inspect
+import json
 import random
 from collections import Counter
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.node.component_host import Host
+from midstride.node.request_admission import PassableRequest
 
 # Appended to a counter's program: a service that notes each request in the state, and returns all that it has noted.
 SERVICE = """
@@ -46,15 +48,38 @@ class PlantedNode:
     """What `on_setup` gets: services run on the component's thread, between two calls of its modes."""
 
     def __init__(self, host: SimulatedHost, process: SimulatedProcess) -> None:
+        self.instance = host.instance
         self._host, self._process = host, process
         self._services: dict[str, Callable[[str], Any]] = {}
 
     def create_service(self, name: str, serve: Callable[[str], Any]) -> None:
         self._services[name] = serve
 
+        def passed(request: str, data: bytes, respond: Callable[[bytes | None], object]) -> None:
+            reply = lambda instance, value: respond(json.dumps([instance, value]).encode())  # noqa: E731
+            self._process.enqueue(self._handling(name, data.decode(), reply))
+
+        self._host.admission.passed_handlers[name] = passed
+
     def receive(self, name: str, request: str, reply: Callable[[str, Any], None]) -> None:
-        if name not in self._services:
+        """Take a request that has arrived: of a process that lives and has this service."""
+        if self._process.dead or name not in self._services:
             return
+        admission, handle = self._host.admission, self._handling(name, request, reply)
+
+        def respond(data: bytes) -> None:
+            if not self._process.dead:
+                reply(*json.loads(data))
+
+        def take() -> None:
+            passable = PassableRequest(name, request.encode, respond)
+            if admission.admit(request, lambda: self._process.enqueue(handle), passable):
+                handle()
+
+        self._process.enqueue(take)
+
+    def _handling(self, name: str, request: str, reply: Callable[[str, Any], None]) -> Callable[[], None]:
+        """What handles ``request`` on the component's thread, and sends the reply."""
         admission, serve = self._host.admission, self._services[name]
 
         def handle() -> None:
@@ -71,11 +96,7 @@ class PlantedNode:
 
             self._host.run_coroutine(finish(), lambda: None)
 
-        def take() -> None:
-            if admission.admit(request, lambda: self._process.enqueue(handle)):
-                handle()
-
-        self._process.enqueue(take)
+        return handle
 
 
 class ServingSimulator(Simulator):
@@ -94,11 +115,20 @@ class ServingSimulator(Simulator):
 
 
 class Caller:
-    """Calls ``ask`` every ``interval`` seconds from now on, until :meth:`stop`."""
+    """Calls ``ask`` every ``interval`` seconds from now on, until :meth:`stop`.
+
+    ``knows`` says of which instances it has discovered the server by now.
+    """
 
     def __init__(
-        self, simulator: ServingSimulator, interval: float = 0.001, seed: int = 0, name: str = "request"
+        self,
+        simulator: ServingSimulator,
+        interval: float = 0.001,
+        seed: int = 0,
+        name: str = "request",
+        knows: Callable[[str], bool] = lambda instance: True,
     ) -> None:
+        self._knows = knows
         self.sent: list[str] = []
         self.answers: dict[str, list[tuple[str, Any]]] = {}
         self._simulator, self._interval, self._random, self._name = simulator, interval, random.Random(seed), name
@@ -110,7 +140,7 @@ class Caller:
             request = f"{self._name} {len(self.sent)}"
             self.sent.append(request)
             for process, node in list(self._simulator.nodes.items()):
-                if not process.dead:
+                if not process.dead and self._knows(node.instance):
                     latency = self._random.uniform(0.0003, 0.002)
                     loop.call_later(latency, node.receive, "ask", request, self._reply(request))
             await asyncio.sleep(self._interval)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 
 from midstride.errors import Unreachable
-from midstride.node.control.command_handlers import RESPONSE_SECONDS
+from midstride.node.control.command_handlers import REQUESTS_SECONDS, RESPONSE_SECONDS
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from tests.runtime.counting import EXPORT, IMPORT, at_rates, counting, exchanged, for_messages, settle, system
@@ -205,6 +206,51 @@ def test_an_instance_that_has_just_responded_stays_until_its_response_has_arrive
         responded = simulator.clock.steady()
         await manager.down()
         assert simulator.clock.steady() - responded >= RESPONSE_SECONDS - 0.1  # its last one may be so old
+
+    serving(tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("discovered", "interval"), [(0.5, 0.05), (3.0, 0.05), (3.0, 1.0), pytest.param(8.0, 0.05, marks=pytest.mark.full)]
+)
+def test_one_that_has_discovered_no_successor_yet_keeps_the_old_one(
+    discovered: float, interval: float, tmp_path: Path
+) -> None:
+    """A client whose middleware is late sends to the old instance alone, which passes its requests on until then."""
+
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        await settle(0.1)
+        begun: list[float] = []  # when the new one began to answer
+
+        def knows(instance: str) -> bool:
+            if instance == "counter":
+                return True
+            now, state = simulator.clock.steady(), simulator.state(instance)
+            if state is not None and state.answers and not begun:
+                begun.append(now)
+            return now >= min(begun, default=now) + discovered
+
+        late = Caller(simulator, interval=interval, name="late", knows=knows)
+        outcome = await exchanged(manager)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        ended = simulator.clock.steady() - begun[0]
+        await settle(max(0.0, discovered - ended) + 1.0)
+        assert_each_once(late, await late.stop())
+        assert ended > discovered and set(late.answered_by) == {"counter", "counter_2"}
+        assert not [event.words for event in manager.log() if event.kind == "killed"]
+
+    serving(tmp_path, body)
+
+
+def test_one_that_never_discovers_the_successor_does_not_keep_the_old_one_for_ever(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ServingSimulator) -> None:
+        Caller(simulator, interval=0.05, knows=lambda instance: instance == "counter")
+        await settle(0.1)
+        old, begun = simulator.processes["counter"], simulator.clock.steady()
+        assert (await exchanged(manager)).outcome == "done"
+        assert REQUESTS_SECONDS < simulator.clock.steady() - begun < REQUESTS_SECONDS + 5.0
+        assert not [event.words for event in manager.log() if event.kind == "killed"]
+        assert re.search("counter ends, but (a request to a service of it|after 10 s, a client)", old.log.tail())
 
     serving(tmp_path, body)
 

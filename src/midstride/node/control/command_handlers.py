@@ -39,8 +39,12 @@ T = TypeVar("T")
 
 # How long ending takes besides the author's `on_stop` (s): destroying endpoints and leaving the platform.
 SHUTDOWN_SECONDS: Final = 1.0
-# How long a request to a service that is being handled may take, once its instance is to end (s).
+# How long a request to a service that is being handled may take, once its instance is to end (s). For so long, at most,
+# it also stays for clients that have not discovered its successor.
 REQUESTS_SECONDS: Final = 10.0
+# Such a client is waited for where a request has been answered within so long (s): one that calls once a second may be
+# one. The middleware does not say whom a client has discovered; ROS's own finds a new server within 3 s.
+CALLED_WITHIN: Final = 1.5
 # How long a server stays in ROS after its last response (s): a client whose middleware learns that the server has left
 # before it has read the response drops it, and the middleware does not say when a response has arrived.
 RESPONSE_SECONDS: Final = 0.5
@@ -180,9 +184,10 @@ class CommandHandlers:
 
     async def end(self) -> None:
         """Finish requests, stop calls, run the author's `on_stop`, destroy endpoints; each in bounded time."""
-        await self._finish_requests()
+        deadline = self.host.steady() + int(REQUESTS_SECONDS * 1e9)
+        await self._finish_requests(deadline)
         await self._finish_goals()
-        self._handovers.close()
+        self._handovers.close_cuts()
         self._take_hold()  # no call is begun any more
         timeout = self.parts.callbacks.stop_timeout
         try:
@@ -200,21 +205,30 @@ class CommandHandlers:
                 self.host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
             await self._attachments.close_all(0.5)
-        while self.host.admission.answered_within(RESPONSE_SECONDS):
+        deadline = max(deadline, self.host.steady() + int(RESPONSE_SECONDS * 1e9))
+        while self.host.admission.answered_within(RESPONSE_SECONDS) and self.host.steady() < deadline:
             await self.host.sleep(0.01)
+        self._handovers.close()
 
-    async def _finish_requests(self) -> None:
-        """Answer the requests to services that are being handled, and begin with no other.
+    async def _finish_requests(self, deadline: int) -> None:
+        """Answer the requests to services that are being handled, and begin with no other. ``deadline``: steady ns.
 
-        What only this instance has received of those held now, its successor handles first.
+        What only this instance has received of those held now, its successor handles first. A client that has called
+        lately may not have discovered that successor: without this instance, which passes its requests on, its next one
+        would reach no server.
         """
-        self.host.admission.pause()
-        deadline = self.host.steady() + int(REQUESTS_SECONDS * 1e9)
-        answering = self._handovers.answering
+        admission, answering = self.host.admission, self._handovers.answering
+        admission.pause()
         held = set(answering.undecided())
-        while self.host.admission.busy or held.intersection(answering.undecided()):
+        while (
+            admission.busy
+            or held.intersection(answering.undecided())
+            or (answering.has_successor and admission.answered_within(CALLED_WITHIN))
+        ):
             if self.host.steady() >= deadline:
                 words = f"a request to a service of it was not answered within {REQUESTS_SECONDS:g} s"
+                if not admission.busy:
+                    words = f"after {REQUESTS_SECONDS:g} s, a client still sends its requests to it alone"
                 self.host.logger.error(f"{self.host.instance} ends, but {words}")
                 return
             await self.host.sleep(0.01)
@@ -290,10 +304,10 @@ class CommandHandlers:
     def _stopping_seconds(self) -> float:
         """How long :meth:`end` takes where user code keeps to its times.
 
-        That of a request that is being handled, of the call under way, and of `on_stop`.
+        That of a request that is being handled, or may have to be passed on, of the call under way, and of `on_stop`.
         """
         callbacks = self.parts.callbacks
-        requests = REQUESTS_SECONDS if self.host.admission.busy else 0.0
+        requests = REQUESTS_SECONDS if self.host.admission.busy or self._handovers.answering.has_successor else 0.0
         requests += DEFAULT_STOP.patience + RESPONSE_SECONDS if self._goes_on_with_goals else 0.0
         requests += RESPONSE_SECONDS if requests or self.host.admission.answered_within(RESPONSE_SECONDS) else 0.0
         return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS

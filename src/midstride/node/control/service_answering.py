@@ -117,17 +117,20 @@ class Answering:
             if self.admission.is_open:  # it answers again
                 self._successor = None
                 return
-            if overdue := self.admission.passable(PASS_AFTER):
-                await self._pass_overdue(overdue, address)
+            await self._pass_overdue(address)
             await self.sleep(PASS_INTERVAL)
 
-    async def _pass_overdue(self, overdue: dict[str, PassableRequest], address: str) -> None:
-        question = commands.MissingRequestsCommand(requests=list(overdue))
-        with contextlib.suppress(BackendError):  # it is asked again, as long as they are held
+    async def _pass_overdue(self, address: str) -> None:
+        held, overdue = self.admission.passable(), self.admission.passable(PASS_AFTER)
+        if not held:
+            return
+        question = commands.MissingRequestsCommand(requests=list(held))
+        # It is asked again, as long as they are held: also where it does not answer requests yet.
+        with contextlib.suppress(BackendError, CommandRefused):
             missing = result_of(await self.call(address, question, MISSING_TIMEOUT), question).requests
-            self.admission.give_up(overdue.keys() - set(missing))
+            self.admission.give_up(held.keys() - set(missing))
             for request in missing:
-                if self.admission.pass_on(request):
+                if request in overdue and self.admission.pass_on(request):
                     self.start(self._pass(request, overdue[request], address))
 
     async def _pass(self, request: str, passable: PassableRequest, address: str) -> None:
@@ -138,7 +141,7 @@ class Answering:
             response = result_of(await self.call(address, serve, SERVE_TIMEOUT), serve).response
             if response is not None:
                 passable.respond(response)
-        except BackendError:
+        except (BackendError, CommandRefused):
             pass  # as if the server had died: its client gets no response
         finally:
             self.admission.finished(request)

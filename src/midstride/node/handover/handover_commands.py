@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, TypeAlias, TypeVar
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
@@ -62,20 +63,31 @@ class HandoverCommands:
     _exports: dict[str, StateExport] = field(default_factory=dict)
     _imports: dict[str, StateImport] = field(default_factory=dict)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _passing: set[asyncio.Task[None]] = field(default_factory=set)  # requests on to the successor
     _channels: dict[str, Channel] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.answering = Answering(
-            self.host.admission, self.call, self.changed, self._start, self.host.sleep, self._own_address
+            self.host.admission,
+            self.call,
+            self.changed,
+            partial(self._start, among=self._passing),
+            self.host.sleep,
+            self._own_address,
         )
 
     def _own_address(self) -> str:
         transport = self.host.transport
         return "" if transport is None else transport.address(self.host.instance)
 
-    def close(self) -> None:
+    def close_cuts(self) -> None:
         """The component ends: stop all cuts."""
         for task in self._tasks:
+            task.cancel()
+
+    def close(self) -> None:
+        """Pass no requests on any more, and close the connections to peers."""
+        for task in self._passing:
             task.cancel()
         self.disconnect()
 
@@ -360,15 +372,17 @@ class HandoverCommands:
             del self._sides[old]
         self._start(side.run())
 
-    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+    def _start(self, work: Coroutine[Any, Any, None], among: set[asyncio.Task[None]] | None = None) -> None:
+        tasks = self._tasks if among is None else among
         task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._ended)
+        tasks.add(task)
+        task.add_done_callback(partial(self._ended, tasks))
 
-    def _ended(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
+    def _ended(self, tasks: set[asyncio.Task[None]], task: asyncio.Task[None]) -> None:
+        tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
-            self.host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
+            what = "passing requests on" if tasks is self._passing else "a side of a cut"
+            self.host.logger.error(f"{what} failed: {type(error).__name__}: {error}")
 
     async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
         """A peer's reply. Raises CallTimeout or Unreachable."""
