@@ -22,11 +22,13 @@ from tests.backends.ros2_support import Bare, run, without_midstride
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
-# Counts to the number that a goal asks for, at 20 Hz, or until that is cancelled; its last number is its server's.
+# Counts to the number that a goal asks for, at 20 Hz, until that is cancelled, or until the test finishes all such
+# goals; its last number is its server's.
 SERVER = """
 import sys
 import threading
 import time
+from pathlib import Path
 import rclpy
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -39,7 +41,8 @@ node = Node("server", start_parameter_services=False)
 
 def count(goal):
     result, feedback = Fibonacci.Result(), Fibonacci.Feedback()
-    while len(result.sequence) < goal.request.order and not goal.is_cancel_requested:
+    finished = Path(__file__).parent / f"finished {goal.request.order}"
+    while len(result.sequence) < goal.request.order and not goal.is_cancel_requested and not finished.exists():
         result.sequence.append(len(result.sequence))
         feedback.sequence = [int(sys.argv[1])]
         goal.publish_feedback(feedback)
@@ -56,6 +59,8 @@ except (KeyboardInterrupt, ExternalShutdownException):
     pass
 """
 OLD, NEW = 1001, 1002
+# The orders of goals that last until the test finishes or cancels them.
+LONG, ENDLESS = 50_000, 100_000
 
 
 class Actions:
@@ -107,6 +112,10 @@ class Actions:
         assert goal.accepted
         return goal
 
+    def finish(self, order: int) -> None:
+        """Have the goals of ``order`` succeed now."""
+        (self._program.parent / f"finished {order}").touch()
+
     def goals(self, name: int) -> list[GoalState]:
         return [goal.state for goal in self.page.goals(self.indices[name])]
 
@@ -144,16 +153,16 @@ def test_a_goal_stays_with_the_server_that_has_accepted_it(actions: Actions) -> 
         await actions.start(OLD)
         await actions.start(NEW, OLD)
         heard: list[int] = []
-        finishes = await actions.accepted(40, lambda message: heard.append(message.feedback.sequence[-1]))
+        finishes = await actions.accepted(LONG, lambda message: heard.append(message.feedback.sequence[-1]))
         asked = finishes.get_result_async()
-        stopped, among_all = await actions.accepted(100_000), await actions.accepted(100_000)
+        stopped, among_all = await actions.accepted(ENDLESS), await actions.accepted(ENDLESS)
         await actions.reach(OLD, [GoalState.ACCEPTED] * 3)
         assert not actions.goals(NEW)
         actions.give(NEW)
         before = len(heard)
 
         # New goals go to the new one, and what is asked about one goes to its own.
-        short, new = await actions.accepted(2), await actions.accepted(100_000)
+        short, new = await actions.accepted(2), await actions.accepted(ENDLESS)
         done = await actions.result(short.get_result_async())
         assert (done.status, list(done.result.sequence)) == (GoalStatus.STATUS_SUCCEEDED, [0, 1, NEW])
         await actions.reach(NEW, [GoalState.ACCEPTED, GoalState.FETCHED])
@@ -161,12 +170,15 @@ def test_a_goal_stays_with_the_server_that_has_accepted_it(actions: Actions) -> 
         assert [bytes(each.goal_id.uuid) for each in answer.goals_canceling] == [bytes(stopped.goal_id.uuid)]
         done = await actions.result(stopped.get_result_async())
         assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, OLD)
+        await actions.bare.until(lambda: len(heard) > before + 2)
+        actions.finish(LONG)
         done = await actions.result(asked)
-        assert (done.status, list(done.result.sequence)) == (GoalStatus.STATUS_SUCCEEDED, [*range(40), OLD])
-        assert set(heard) == {OLD} and len(heard) > before
+        counted = list(done.result.sequence)
+        assert (done.status, counted) == (GoalStatus.STATUS_SUCCEEDED, [*range(len(counted) - 1), OLD])
+        assert set(heard) == {OLD} and len(counted) > before
 
         # All goals: both cancel theirs, and one answer names all of them.
-        third = await actions.accepted(100_000)
+        third = await actions.accepted(ENDLESS)
         cancel = actions.bare.node.create_client(CancelGoal, "/count/_action/cancel_goal")
         await actions.bare.until(cancel.service_is_ready)
         answer = await actions.result(cancel.call_async(CancelGoal.Request()))
@@ -196,7 +208,7 @@ def test_the_goals_of_one_server_are_cancelled_by_the_page(actions: Actions) -> 
     async def scenario() -> None:
         page = actions.page
         await actions.start(OLD)
-        goals = [await actions.accepted(100_000) for _ in range(2)]
+        goals = [await actions.accepted(ENDLESS) for _ in range(2)]
         await actions.start(NEW, OLD)
         actions.give(NEW)
         other = await actions.accepted(20)
@@ -259,12 +271,13 @@ def test_a_goal_that_the_page_has_no_room_for_is_executed_and_waited_for(actions
         places = page._requests[old.requests - 1].goals
         for goal in places:  # in progress at another node
             goal.word = GoalState.ACCEPTED << 12 | NODES
-        asked, unasked = [await actions.accepted(order) for order in (20, 100_000)]
+        asked, unasked = [await actions.accepted(order) for order in (LONG, ENDLESS)]
         result = asked.get_result_async()
         await actions.start(NEW, OLD)
         await actions.bare.until(lambda: old.beyond == 2)
         assert actions.goals(OLD) == []
         actions.give(NEW)
+        actions.finish(LONG)
         done = await actions.result(result)
         assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_SUCCEEDED, OLD)
         assert (await actions.result(unasked.get_result_async())).status == GoalStatus.STATUS_UNKNOWN
@@ -273,7 +286,7 @@ def test_a_goal_that_the_page_has_no_room_for_is_executed_and_waited_for(actions
         await actions.bare.until(lambda: old.beyond == 0)
         # As soon as there is room, goals are known again.
         places[GOALS - 1].word = 0
-        await actions.accepted(100_000)
+        await actions.accepted(ENDLESS)
         await actions.reach(NEW, [GoalState.ACCEPTED])
         assert old.beyond == 0
 
