@@ -56,7 +56,9 @@ class PlantedNode:
         self._services[name] = serve
 
         def passed(request: str, data: bytes, respond: Callable[[bytes | None], object]) -> None:
-            reply = lambda instance, value: respond(json.dumps([instance, value]).encode())  # noqa: E731
+            def reply(instance: str, value: Any) -> None:
+                respond(json.dumps([instance, value]).encode())
+
             self._process.enqueue(self._handling(name, data.decode(), reply))
 
         self._host.admission.passed_handlers[name] = passed

@@ -20,10 +20,12 @@ from __future__ import annotations
 
 import ctypes
 import os
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 from midstride.backends.ros2.middleware import of_identifier
@@ -143,23 +145,28 @@ def applied_profile(settings: DdsSettings) -> Iterator[list[str]]:
     """The environment in which to create this process's first node; afterwards it is as it was.
 
     The list that it yields has, in the end, the warnings of ``settings`` and what did not take effect: whether the
-    profile was read shows by watching the file, whether shared memory is in use by what is mapped.
+    profile was read shows by watching a copy of the file, which no other process opens, whether shared memory is in use
+    by what is mapped.
     """
     warnings = list(settings.warnings)
     before = {name: os.environ.get(name) for name in settings.variables}
-    watch = _watch(settings.profile)
-    os.environ.update(settings.variables)
-    try:
-        yield warnings
-        warnings += _not_applied(settings, watch)
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-        if watch is not None:
-            os.close(watch)
+    with TemporaryDirectory(prefix="midstride-") as folder:
+        copy = None if settings.profile is None else shutil.copy(settings.profile, folder)
+        watch = _watch(copy)
+        os.environ.update(settings.variables)
+        if copy is not None:
+            os.environ.update({name: copy for name in PROFILE_VARIABLES.values() if name in settings.variables})
+        try:
+            yield warnings
+            warnings += _not_applied(settings, watch)
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
+            if watch is not None:
+                os.close(watch)
 
 
 def _watch(path: str | None) -> int | None:
