@@ -77,13 +77,36 @@ def environment_of_compiled(base: Mapping[str, str]) -> dict[str, str]:
 
 def compiled(folder: Path, source: Path = SOURCE, name: str = "c_talker", besides: Sequence[str] = ()) -> Path:
     """A node on rcl as a program ``name`` in ``folder``, with more libraries. Skips where it cannot be compiled."""
-    compiler = build.compiler()
-    if compiler is None:
-        pytest.skip("no C compiler here")
+    program = folder / name
+    compile_with_ros([source], program, besides=besides)
+    return program
+
+
+def ros_prefix() -> Path:
+    """The prefix of the ROS 2 that the tests run with. Skips where it has no headers."""
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
     prefix = next((Path(found) for found in prefixes if (Path(found) / "include" / "rcl").is_dir()), None)
     if prefix is None:
         pytest.skip(f"the headers of rcl are in none of {', '.join(prefixes)}")
+    return prefix
+
+
+def compile_with_ros(
+    sources: Sequence[Path],
+    target: Path,
+    options: Sequence[str] = (),
+    besides: Sequence[str] = (),
+    compiler: Sequence[str] | None = None,
+) -> None:
+    """Compile ``sources`` in C, and link them with the libraries of rcl and those ``besides``.
+
+    ``options`` stand before the sources; ``compiler``: for another language. Skips where that cannot be done.
+    """
+    if compiler is None and (found := build.compiler()) is not None:
+        compiler = [*found, "-std=gnu11"]
+    if compiler is None:
+        pytest.skip("no C compiler here")
+    prefix = ros_prefix()
     include = prefix / "include"
     headers = [f"-I{each}" for each in (include, *sorted(include.iterdir())) if each.is_dir()]
     libraries = [f"-L{prefix / 'lib'}", "-Wl,--no-as-needed", *(f"-l{name}" for name in (*_LIBRARIES, *besides))]
@@ -93,8 +116,7 @@ def compiled(folder: Path, source: Path = SOURCE, name: str = "c_talker", beside
     ).exists():  # libraries of the wheels need it, without naming it
         libraries += [f"-L{folder_of_python}", f"-lpython{version}"]
     libraries.append("-Wl,--allow-shlib-undefined")
-    program = folder / name
-    command = [*compiler, "-std=gnu11", "-O2", *headers, str(source), "-o", str(program), *libraries]
+    standard = [] if target.suffix == ".o" else libraries
+    command = [*compiler, "-O2", *options, *headers, *map(str, sources), "-o", str(target), *standard]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return program

@@ -8,6 +8,9 @@ from collections.abc import Mapping
 from midstride.errors import StartFailed
 from midstride.model.near_miss import did_you_mean
 
+_NO_PREFIX = "AMENT_PREFIX_PATH is not set; source the setup file of your ROS"
+# The component classes of each package: a line each, the class and its library.
+COMPONENTS = os.path.join("share", "ament_index", "resource_index", "rclcpp_components")
 INDEX = os.path.join("share", "ament_index", "resource_index", "packages")
 
 
@@ -27,8 +30,7 @@ def executable(package: str, name: str, environment: Mapping[str, str]) -> str:
     if prefix is None:
         searched = prefixes(environment)
         if not searched:
-            remedy = "AMENT_PREFIX_PATH is not set; source the setup file of your ROS"
-            raise StartFailed(f"package {package} cannot be looked up: {remedy}")
+            raise StartFailed(f"package {package} cannot be looked up: {_NO_PREFIX}")
         where = f"there is no {INDEX}/{package} in {' or '.join(searched)}"
         raise StartFailed(f"package {package} is not installed: {where}")
     folder = os.path.join(prefix, "lib", package)
@@ -37,6 +39,31 @@ def executable(package: str, name: str, environment: Mapping[str, str]) -> str:
         return path
     help = did_you_mean(name, _executables(folder))
     raise StartFailed(f"package {package} has no executable {name} in {folder}" + (f"; {help}" if help else ""))
+
+
+def component_library(package: str, plugin: str, environment: Mapping[str, str]) -> str:
+    """The path of the library that has the class ``plugin`` of ``package``, as a component container looks it up.
+
+    Raises StartFailed, naming what was searched.
+    """
+    for prefix in prefixes(environment):
+        try:
+            with open(os.path.join(prefix, COMPONENTS, package), encoding="utf-8", errors="replace") as file:
+                entries = [line.split(";") for line in file.read().splitlines() if line]
+        except OSError:
+            continue
+        libraries = {entry[0]: os.path.join(prefix, entry[1]) for entry in entries if len(entry) == 2}
+        if plugin not in libraries:
+            help = did_you_mean(plugin, libraries) or f"it has {', '.join(sorted(libraries)) or 'none'}"
+            raise StartFailed(f"package {package} has no component class {plugin}; {help}")
+        if not os.path.isfile(libraries[plugin]):
+            raise StartFailed(f"the library of {plugin} is not there: {libraries[plugin]}; build package {package}")
+        return libraries[plugin]
+    if prefix_of(package, environment) is not None:
+        raise StartFailed(f"package {package} registers no component classes (there is no {COMPONENTS}/{package})")
+    searched = prefixes(environment)
+    where = f"there is no {COMPONENTS}/{package} in {' or '.join(searched)}" if searched else _NO_PREFIX
+    raise StartFailed(f"package {package} is not installed: {where}")
 
 
 def _executables(folder: str) -> list[str]:

@@ -360,7 +360,7 @@ class ScriptedBackend:
     def is_stopped(self, instance: str) -> bool:
         return False
 
-    def executable(self, package: str, name: str) -> str | None:
+    def executable(self, package: str, name: str, *, composable: bool = False) -> str | None:
         return None
 
     @contextlib.asynccontextmanager

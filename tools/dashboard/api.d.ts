@@ -212,6 +212,8 @@ declare namespace Api {
     run?: string;
     /** the ROS 2 package of its program */
     package?: string;
+    /** `run` is a class that this loads */
+    container?: ContainerForm;
     /** the words before its program */
     prefix?: string;
     /** variables of its process; null: not inherited */
@@ -257,6 +259,14 @@ declare namespace Api {
 
   /** A constraint on every plan. */
   type ConstraintForm = { keep: string; at: string; } | { limit: string; below_baseline_seconds: number; } | { order: string; before: string; };
+
+  /** The program that loads a composable node. */
+  interface ContainerForm {
+    /** an executable of its package */
+    run?: string;
+    /** its package */
+    package?: string;
+  }
 
   /** An instance that exited unexpectedly, or could not be started. `status` is negative for a signal, null where it is not known. */
   interface CrashedInstance {
@@ -684,6 +694,8 @@ declare namespace Api {
     run?: string;
     /** the ROS 2 package of its program */
     package?: string;
+    /** `run` is a class that this loads */
+    container?: ContainerForm;
     /** the words before its program */
     prefix?: string;
     /** variables of its process; null: not inherited */

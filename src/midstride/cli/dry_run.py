@@ -52,6 +52,7 @@ class DescribedStart(Report, frozen=True, kw_only=True):
         Meta(description="what differs from the environment of this command; null: not inherited"),
     ]
     files: Annotated[dict[str, str], Meta(description="that would be written for it, with their texts")]
+    load: Annotated[list[str], Meta(description="the command that loads a composable node into it, as Midstride does")]
     because: str | None
     names_all: Annotated[bool, Meta(description="all nodes of the process would get its name, if it has several")]
 
@@ -99,10 +100,11 @@ def _described(
     command, because = shlex.split(instance.component.run or "", posix=False), None
     environment: dict[str, str | None] = {}
     files: dict[str, str] = {}
+    load: tuple[str, ...] = ()
     try:
         launch = launch_of(instance, platform.name, token=_TOKEN, directory=directory, options=options, topics=topics)
         found = platform.describe(launch)
-        command, environment, files = list(found.command), found.environment, found.files
+        command, environment, files, load = list(found.command), found.environment, found.files, found.load
     except BackendError as error:
         because = str(error)
     environment |= dict.fromkeys({ENV_TOKEN, ENV_START} & environment.keys(), _TOKEN)
@@ -115,6 +117,7 @@ def _described(
         directory=str(directory),
         environment=environment,
         files=files,
+        load=list(load),
         because=because,
         names_all=not instance.component.loads_library and any(word.startswith("__node:=") for word in command),
     )
@@ -136,6 +139,8 @@ def lines(found: DryRun) -> Iterator[str]:
         yield f"   in {each.directory}"
         for name, value in each.environment.items():
             yield f"   without {name}" if value is None else f"   with {name}={shlex.quote(value)}"
+        if each.load:
+            yield f"   then loaded, as by: {shlex.join(each.load)}"
         for path, text in each.files.items():
             yield f"   and the file {path}:"
             yield from (f"     {line}" for line in text.splitlines())

@@ -52,9 +52,11 @@ from midstride.codec.parameter import ParameterForm, ValueForm, values_form, val
 from midstride.codec.reading import decode
 from midstride.errors import SpecificationError
 from midstride.model.component import (
+    DEFAULT_CONTAINER,
     DEFAULT_STOP,
     Assumption,
     ComponentSpec,
+    ContainerProgram,
     FunctionalitySpec,
     Gate,
     InputAlternatives,
@@ -207,6 +209,15 @@ class StopForm(Form, frozen=True):
         return StopTimes(float(self.sigterm), float(self.sigkill), float(self.drain), float(self.patience))
 
 
+class ContainerForm(Form, frozen=True):
+    """The program that loads a composable node."""
+
+    what: ClassVar[str] = "a container program"
+
+    run: Annotated[str, field("a command", "an executable of its package", min_length=1)] = DEFAULT_CONTAINER.run
+    package: Annotated[str, field("a package", "its package", min_length=1)] = DEFAULT_CONTAINER.package
+
+
 class ComponentForm(Form, frozen=True):
     """A component, whose name is the key it is under."""
 
@@ -214,6 +225,7 @@ class ComponentForm(Form, frozen=True):
 
     run: Annotated[str, field("a command", "the command that starts it; none: started elsewhere")] | UnsetType = UNSET
     package: Annotated[str, field("a package", "the ROS 2 package of its program", min_length=1)] | UnsetType = UNSET
+    container: Annotated[ContainerForm, Meta(description="`run` is a class that this loads")] | UnsetType = UNSET
     prefix: Annotated[str, field("a command", "the words before its program", min_length=1)] | UnsetType = UNSET
     environment: Annotated[
         dict[str, str | None],
@@ -261,6 +273,9 @@ class ComponentForm(Form, frozen=True):
         return cls(
             run=component.run or UNSET,
             package=component.package or UNSET,
+            container=UNSET
+            if component.container is None
+            else ContainerForm(component.container.run, component.container.package),
             prefix=component.prefix or UNSET,
             environment=dict(sorted(component.environment.items())),
             takes_seconds=stated(component.startup_seconds),
@@ -299,6 +314,7 @@ class ComponentForm(Form, frozen=True):
             allows=tuple(NodeEndpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
             run=given(self.run),
             package=given(self.package),
+            container=None if self.container is UNSET else ContainerProgram(self.container.run, self.container.package),
             prefix=given(self.prefix),
             environment=self.environment,
             startup_seconds=given(self.takes_seconds),

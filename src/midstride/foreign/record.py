@@ -28,7 +28,8 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     ``was_active``: it is a lifecycle node that another program manages, and it or its predecessor has been active.
     ``draining_since``: since when its goals have been waited for, as its successor takes new ones (monotonic s).
     ``role``: what it is an instance of. ``unnamed``: its program gives the node its name itself, and it was not passed
-    one; ``node`` is empty until it is found. ``revision`` counts its changes.
+    one; ``node`` is empty until it is found. ``container``: the full name of the node that has loaded it, if any.
+    ``revision`` counts its changes.
     """
 
     instance: str
@@ -55,6 +56,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     draining_since: float | None = None
     role: str = ""
     unnamed: bool = False
+    container: str = ""
     revision: int = 0
 
     @property

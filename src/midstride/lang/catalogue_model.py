@@ -143,13 +143,17 @@ MODEL: Final = (
     _entry(
         "E009: not a shell command",
         """A command is split into words as in a shell, but run without one. Here a quote is not closed, or the
-        command is empty; or with `package`, it names a file instead of an executable, or that is no package's name.
+        command is empty; or with `package`, it names a file instead of an executable, or that is no package's name;
+        or what follows the class of a composable node (`run component`) is nothing that a container takes.
         The same holds for a prefix. In an environment, a variable is one that Midstride itself sets.""",
         "write the command as in a shell, with its quotes closed, and an executable of a package without a folder",
         _component('  run "python3 -c \'print(1)"\n'),
         _component('  run ""\n'),
         _component('  run "./talker" package "demo_nodes"\n'),
         _component('  run "talker" package "demo nodes"\n'),
+        _component('  run component "demo::Talker -p rate:=5" package "demo" gate preload\n'),
+        _component('  run component "demo::Talker" package "demo" in "./box" gate preload\n'),
+        _component('  run component "demo::Talker" package "demo" in "box" package "my boxes" gate preload\n'),
         _component('  run "talker" prefix ""\n'),
         _component('  run "talker"\n  environment { LD_PRELOAD = "libx.so" }\n'),
     ),
@@ -299,8 +303,10 @@ MODEL: Final = (
         node attaches a port to several topics; or a component without a `gate` has a name for the topic of a port
         (`as`), a mode with parameters, a `lazy` output, or states how it is ended (`stop`); or one that cannot be a
         lifecycle node states how long it may take to `activate`; or a lifecycle manager of the system, such as Nav2's,
-        has a node in its `node_names` that has `gate lifecycle`, so that two would manage it. A parameter of a mode is
-        declared in the component, with a value of the same type, and belongs to the modes of one functionality.""",
+        has a node in its `node_names` that has `gate lifecycle`, so that two would manage it; or a composable node
+        (`run component`) has no package, no gate, `gate relay`, `once`, `unnamed`, `renames`, or intra-process
+        communication, which goes past the gate. A parameter of a mode is declared in the component, with a value of the
+        same type, and belongs to the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace('talker"', 'talker" gate relay').replace(
@@ -345,6 +351,20 @@ MODEL: Final = (
         'component Manager {\n  run "lifecycle_manager" gate preload\n'
         '  parameters {\n    autostart = true\n    node_names = ["planner"]\n  }\n}\n'
         "node planner : Planner\nnode manager : Manager\n",
+        STARTED.replace('run "python3 -m s.talker"', 'run component "demo::Talker" gate preload') + NODE,
+        STARTED.replace('run "python3 -m s.talker"', 'run component "demo::Talker" package "demo"') + NODE,
+        STARTED.replace('run "python3 -m s.talker"', 'run component "demo::Talker" package "demo" gate relay') + NODE,
+        STARTED.replace('run "python3 -m s.talker"', 'run component "demo::Talker" package "demo" gate preload unnamed')
+        + NODE,
+        STARTED.replace(
+            'run "python3 -m s.talker"', 'run component "demo::Talker" package "demo" gate preload renames talker'
+        )
+        + NODE,
+        STARTED.replace(
+            'run "python3 -m s.talker"',
+            'run component "demo::Talker -e use_intra_process_comms:=true" package "demo" gate preload',
+        )
+        + NODE,
     ),
     _entry(
         "E028: part of a program that ends",

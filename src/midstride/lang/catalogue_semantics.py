@@ -182,9 +182,10 @@ SEMANTICS: Final = (
     ),
     entry(
         "W161: program that is not there",
-        """`run` names a file that does not exist, or the executable of a package that is not installed here. A relative
-        path is relative to the folder of the system's file, where programs are started. A program without a path is
-        looked up when it is started, and not checked here.""",
+        """`run` names a file that does not exist, or the executable of a package that is not installed here; or the
+        class of a composable node that no package registers, or a container that is not installed. A relative path is
+        relative to the folder of the system's file, where programs are started. A program without a path is looked up
+        when it is started, and not checked here.""",
         CHATTER.replace("  output", '  run "python3 talkr.py"\n  output') + NODE,
         CatalogueExample(
             CHATTER.replace("  output", '  run "./bin/talker --fast"\n  output') + NODE, files={"talker.py": "pass\n"}

@@ -38,7 +38,7 @@ _STATEMENTS: Final = {
 
 
 # What may follow the command of a component.
-_RUN_CLAUSES: Final = ("package", "takes", "activate", "stop", "gate")
+_RUN_CLAUSES: Final = ("package", "in", "takes", "activate", "stop", "gate")
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,10 +18,12 @@ from midstride.lang.declarations import MAX_PARTS, ancestry, limited
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.token_stream import RESERVED
 from midstride.model.component import (
+    DEFAULT_CONTAINER,
     DEFAULT_STOP,
     GATES,
     Assumption,
     ComponentSpec,
+    ContainerProgram,
     FunctionalitySpec,
     InputAlternatives,
     Mode,
@@ -217,6 +219,7 @@ class ComponentBuilder:
             activate_seconds=None if run is None or run.activate is None else run.activate.value,
             stop=None if run is None or run.stop is None else _stop_times(run.stop),
             lazy=[output.text for output in declaration.lazy],
+            container=None if run is None else _container(run.container),
         )
 
     def _functionality(
@@ -335,6 +338,13 @@ def _served_again(
     """The servers without those stated again as outputs, which are servers only where that says so."""
     stated = {output.text for output in outputs}
     return tuple(each for each in served if each.name.text not in stated)
+
+
+def _container(clause: syntax.ContainerClause | None) -> ContainerProgram | None:
+    if clause is None or clause.program is None:
+        return None if clause is None else DEFAULT_CONTAINER
+    package = DEFAULT_CONTAINER.package if clause.package is None else clause.package.text
+    return ContainerProgram(clause.program.text, package)
 
 
 def _stop_times(stop: syntax.StopClause) -> StopTimes:

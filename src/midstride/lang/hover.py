@@ -53,6 +53,8 @@ class _Hover:
             return
         if component.run is not None:
             yield f"`{component.run}`" + ("" if component.package is None else f" of package {component.package}")
+        if (container := component.container) is not None:
+            yield f"loaded by `{container.run}` of package {container.package}"
         if component.once:
             yield "ends when it has done its work"
         if component.prefix is not None:

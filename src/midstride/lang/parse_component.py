@@ -73,11 +73,14 @@ class ComponentParser(ContractParser):
         )
 
     def _run(self, start: int) -> syntax.Run:
+        composable = self.accept_word("component")
+        what = f"a {'class' if composable else 'command'} in double quotes after `run{' component' * composable}`"
         if self.kinds[self.i] in {"name", "path"}:
             words = self.rest_of_line()
-            raise self.fail("a command in double quotes after `run`", f'write `run "{words}"`')
-        command = self.text("a command in double quotes after `run`")
-        package = self.text("a package in double quotes after `package`") if self.accept_word("package") else None
+            raise self.fail(what, f'write `run{" component" * composable} "{words}"`')
+        command = self.text(what)
+        package = self._package()
+        container = self._container() if composable else None
         prefix = self.text("the words before the program in double quotes") if self.accept_word("prefix") else None
         startup = self.seconds("a startup time") if self.accept_word("takes") else None
         activate = self.seconds("a time to activate") if self.accept_word("activate") else None
@@ -88,7 +91,19 @@ class ComponentParser(ContractParser):
         unnamed = self.accept_word("unnamed")
         renames = self.name("what the program calls its node after `renames`") if self.accept_word("renames") else None
         span = self.since(start)
-        return syntax.Run(command, package, prefix, startup, activate, stop, gate, once, unnamed, renames, span)
+        return syntax.Run(
+            command, package, container, prefix, startup, activate, stop, gate, once, unnamed, renames, span
+        )
+
+    def _package(self) -> syntax.Name | None:
+        return self.text("a package in double quotes after `package`") if self.accept_word("package") else None
+
+    def _container(self) -> syntax.ContainerClause:
+        """``in "component_container_mt" package "rclcpp_components"``, which may be left out."""
+        if not self.accept_word("in"):
+            return syntax.ContainerClause(None, None)
+        program = self.text("the program of a component container in double quotes after `in`")
+        return syntax.ContainerClause(program, self._package())
 
     def _stop(self) -> syntax.StopClause:
         start = self.i - 1

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from midstride.ament_index import executable
+from midstride.ament_index import component_library, executable
 from midstride.errors import StartFailed
 from midstride.model.diagnostics import Problem
 from midstride.model.near_miss import did_you_mean
@@ -29,15 +29,26 @@ def missing_programs(specification: Specification, folder: Path) -> Iterator[Pro
     """W161 for each `run` that names what is not there; ``folder`` is that of the system's file."""
     seen = set()
     for name, component in sorted(specification.components.items()):
-        if component.run is None or (component.run, component.package) in seen:
+        key = component.run, component.package, component.container
+        if component.run is None or key in seen:
             continue
-        seen.add((component.run, component.package))
+        seen.add(key)
         if component.package is not None:
             try:
-                executable(component.package, shlex.split(component.run)[0], os.environ)
+                program = shlex.split(component.run)[0]
+                if component.container is None:
+                    executable(component.package, program, os.environ)
+                else:
+                    component_library(component.package, program, os.environ)
             except StartFailed as error:
                 message = f"component {name} runs `{component.run}`, but {error}"
                 yield Problem("W161", ("components", name, "package"), message)
+            if (container := component.container) is not None:
+                try:
+                    executable(container.package, shlex.split(container.run)[0], os.environ)
+                except StartFailed as error:
+                    message = f"component {name} is loaded by `{container.run}`, but {error}"
+                    yield Problem("W161", ("components", name, "container", "run"), message)
             continue
         for file in _files(shlex.split(component.run)):
             if not (folder / file).exists():

@@ -107,6 +107,14 @@ def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
             return run.command.span
         case ["package"] if run is not None and run.package is not None:
             return run.package.span
+        case ["container", "run"] if (
+            run is not None and run.container is not None and run.container.program is not None
+        ):
+            return run.container.program.span
+        case ["container", "package"] if run is not None and run.container and run.container.package is not None:
+            return run.container.package.span
+        case ["container", *_] if run is not None:
+            return run.span
         case ["prefix"] if run is not None and run.prefix is not None:
             return run.prefix.span
         case ["environment", name] if (variable := find(declaration.environment, name)) is not None:

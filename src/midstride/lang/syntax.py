@@ -114,9 +114,19 @@ class StopClause(NamedTuple):
     span: Span
 
 
+class ContainerClause(NamedTuple):
+    """``in "component_container_mt" package "rclcpp_components"``: the program that loads a composable node."""
+
+    program: Name | None
+    package: Name | None
+
+
 class Run(NamedTuple):
+    """``container``: the command is the class of a composable node; what it leaves out is None in it."""
+
     command: Name
     package: Name | None
+    container: ContainerClause | None
     prefix: Name | None
     startup: Number | None
     activate: Number | None

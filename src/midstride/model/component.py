@@ -61,6 +61,17 @@ CANCELLING: Final = 3.0
 # For a process that must not run again, not for an instant.
 KILL_AT_ONCE: Final = StopTimes(0.0, 0.0)
 
+
+@dataclass(frozen=True, slots=True)
+class ContainerProgram:
+    """The program that loads a composable node: ``run`` is an executable of ``package``, with its arguments."""
+
+    run: str = "component_container"
+    package: str = "rclcpp_components"
+
+
+DEFAULT_CONTAINER: Final = ContainerProgram()
+
 _KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "float", str: "string"}
 
 
@@ -262,6 +273,8 @@ class ComponentSpec:
     ``stop`` is how it is ended, ``activate_seconds`` how long a lifecycle node may take to become active (s), where
     stated, and ``lazy`` are the outputs that exist only while something subscribes to them.
     ``once``: such a program ends when it has done its work; it has no ports, and exit status 0 is success.
+    ``container``: its node is composable, and that program loads it into a process of its own; ``run`` then begins
+    with the class of ``package`` (:class:`.load_words.LoadWords`).
     """
 
     name: str
@@ -288,6 +301,7 @@ class ComponentSpec:
     activate_seconds: float | None = None
     lazy: frozenset[str] = frozenset()
     once: bool = False
+    container: ContainerProgram | None = None
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
     _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
@@ -330,6 +344,7 @@ class ComponentSpec:
         activate_seconds: float | None = None,
         lazy: Iterable[str] = (),
         once: bool = False,
+        container: ContainerProgram | None = None,
     ) -> ComponentSpec:
         """Build one from plain values, keeping the order of declaration."""
         inputs = inputs or {}
@@ -358,6 +373,7 @@ class ComponentSpec:
             activate_seconds=activate_seconds,
             lazy=frozenset(lazy),
             once=once,
+            container=container,
         )
 
     def __iter__(self) -> Iterator[FunctionalitySpec]:
@@ -483,6 +499,7 @@ class ComponentSpec:
             frozenset(self.allows),
             self.run,
             self.package,
+            self.container,
             self.prefix,
             self.environment,
             self.gate,

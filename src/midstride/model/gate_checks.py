@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from midstride.model.component import DEFAULT_STOP, ComponentSpec, value_fits, value_kind
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.lifecycle_management import managed_nodes
+from midstride.model.load_words import LoadWords
 from midstride.model.specification import Node, Specification
 from midstride.model.wording import KIND_WORDS
 
@@ -49,6 +50,8 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
     if component.once:
         yield from _once(component, path)
     yield from _named(component, path)
+    if component.container is not None:
+        yield from _composable(component, path)
     if component.gate is None:
         return
     if component.run is None and not component.once:
@@ -103,6 +106,47 @@ def _named(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
                 f'omit it, or state the gate: `run "…" gate preload {key}{f" {renames}" if key == "renames" else ""}`'
             )
             yield Problem(_CODE, (*path, key), message, help)
+
+
+def _composable(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
+    """Yield what does not fit a composable node, which a container loads."""
+    name = component.name
+    if component.package is None:
+        message = f"{name} is a composable node, and no package is stated, which has the library with its class"
+        yield Problem(_CODE, (*path, "container"), message, 'state it: `run component "…" package "…"`')
+    if component.gate is None and component.run is not None:
+        message = f"{name} is a composable node, and has no gate: none of these uses Midstride's API"
+        yield Problem(
+            _CODE, (*path, "container"), message, 'state the gate: `run component "…" package "…" gate preload`'
+        )
+    relayed = component.gate == "relay"
+    stated = {
+        "once": ("it is `once`", "a container does not end when its node has done its work")
+        if component.once
+        else None,
+        "gate": ("it has `gate relay`", "a relay starts programs; state another gate: `gate preload`")
+        if relayed
+        else None,
+        "unnamed": ("it is `unnamed`", "a request to load a node states its name") if component.unnamed else None,
+        "renames": (f"it `renames {component.renames}`", "the name is that of the node that is loaded")
+        if component.renames is not None
+        else None,
+    }
+    for key, found in stated.items():
+        if found is not None:
+            what, why = found
+            yield Problem(_CODE, (*path, key), f"{name} is a composable node, and yet {what}", f"omit it: {why}")
+    if component.gate not in (None, "none", "relay") and _is_intra_process(component):
+        message = f"{name} has `use_intra_process_comms:=true`: what stays within its process goes past the gate"
+        help = "omit it: the node has a process of its own, so nothing else is in it"
+        yield Problem(_CODE, (*path, "run"), message, help)
+
+
+def _is_intra_process(component: ComponentSpec) -> bool:
+    try:
+        return LoadWords.of(component.run or "").extra.get("use_intra_process_comms") is True
+    except ValueError:
+        return False  # reported as a command that cannot be read
 
 
 def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:

@@ -14,14 +14,23 @@ from collections.abc import Collection, Iterator, Sequence
 from functools import lru_cache
 from typing import Final
 
-from midstride.model.component import ROS_PARAMETERS, ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
+from midstride.model.component import (
+    ROS_PARAMETERS,
+    ComponentSpec,
+    ContainerProgram,
+    FunctionalitySpec,
+    InputAlternatives,
+    Mode,
+)
 from midstride.model.diagnostics import Problem, SubjectPath, unknown_name, with_suggestions
+from midstride.model.load_words import LoadWords
 from midstride.model.specification import TIMING, Keep, Node, Order, Specification
 
 _TOKEN: Final = r"[A-Za-z_][A-Za-z0-9_]*"
 _NAME: Final = re.compile(_TOKEN)
 _ROLE: Final = re.compile(rf"{_TOKEN}(/{_TOKEN})*")
 _TOPIC: Final = re.compile(rf"(/{_TOKEN})+")
+_PACKAGE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _LONGEST: Final = 255  # what ROS 2 allows for a node name
 
 
@@ -82,6 +91,8 @@ def _component_names(component: ComponentSpec, path: SubjectPath) -> Iterator[Pr
         yield from _command(component.run, (*path, "run"))
     if component.package is not None:
         yield from _package(component, component.package, path)
+    if component.container is not None:
+        yield from _container(component.container, path)
     if component.prefix is not None:
         yield from _command(component.prefix, (*path, "prefix"))
         if component.run is None:
@@ -115,13 +126,29 @@ def _command(text: str, path: SubjectPath) -> Iterator[Problem]:
 
 
 def _package(component: ComponentSpec, package: str, path: SubjectPath) -> Iterator[Problem]:
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", package):
+    if not _PACKAGE.fullmatch(package):
         yield Problem("E009", (*path, "package"), f"`{package}` is not a valid package name")
     if component.run is None:
         yield Problem("E009", (*path, "package"), "a package is stated without an executable", "name it: `run`")
+    elif component.container is not None:
+        try:
+            LoadWords.of(component.run)
+        except ValueError as error:
+            yield Problem("E009", (*path, "run"), f"`{component.run}` cannot be loaded into a container: {error}")
     elif "/" in component.run.partition(" ")[0]:
         message = f"`{component.run}` names a file, and package {package} is stated, which has executables"
         yield Problem("E009", (*path, "run"), message, "name the executable alone, or omit the package")
+
+
+def _container(container: ContainerProgram, path: SubjectPath) -> Iterator[Problem]:
+    where = (*path, "container", "run")
+    yield from _command(container.run, where)
+    if "/" in container.run.partition(" ")[0]:
+        message = f"`{container.run}` names a file, and a container is an executable of a package"
+        yield Problem("E009", where, message, 'name the executable: `in "component_container_mt"`')
+    if not _PACKAGE.fullmatch(container.package):
+        message = f"`{container.package}` is not a valid package name"
+        yield Problem("E009", (*path, "container", "package"), message)
 
 
 def _functionality_names(

@@ -151,12 +151,18 @@ def _stop(component: ComponentSpec) -> str | None:
     return " ".join(f"{name} {format_number(seconds)} s" for name, seconds in times)
 
 
+def _container(component: ComponentSpec) -> str | None:
+    container = component.container
+    return None if container is None else f"{container.run} of package {container.package}"
+
+
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
     """How two declarations of a component differ, a line each."""
     for what, old, new in (
         ("run", before.run, after.run),
         ("takes", before.startup_seconds, after.startup_seconds),
         ("package", before.package, after.package),
+        ("in", _container(before), _container(after)),
         ("prefix", before.prefix, after.prefix),
         ("gate", before.gate, after.gate),
         ("unnamed", before.unnamed, after.unnamed),

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple, Protocol
 from midstride.errors import BackendError
 from midstride.model.component import ComponentSpec, ParameterSection, StopTimes
 from midstride.model.contract import Predicate
+from midstride.model.load_words import LoadWords
 from midstride.model.wording import exception_in
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
@@ -44,7 +45,8 @@ class Launch:
     does not inherit.
     ``role``: what it is an instance of. ``sections``: parameters of further nodes in the process, where its program
     does not use Midstride's API. ``foreign``: the component, where its program does not use Midstride's API;
-    ``topics`` then has those of its ports.
+    ``topics`` then has those of its ports. ``load``: what is loaded into the process once it runs, where the program is
+    a component container.
     """
 
     instance: str
@@ -64,6 +66,7 @@ class Launch:
     sections: tuple[ParameterSection, ...] = ()
     predecessor: str = ""
     role: str = ""
+    load: LoadWords | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +82,13 @@ class Handle:
 @dataclass(frozen=True, slots=True)
 class DescribedProcess:
     """What a process would be started with: its command, the variables of its environment that differ from this
-    process's (None: not inherited), and the texts of the files that would be written for it."""
+    process's (None: not inherited), and the texts of the files that would be written for it. ``load``: the command that
+    would load the composable node into it, as one could type it."""
 
     command: tuple[str, ...]
     environment: dict[str, str | None] = field(default_factory=dict)
     files: dict[str, str] = field(default_factory=dict)
+    load: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,8 +281,11 @@ class Backend(Protocol):
         """Why what the next manager needs to know of the components could not be written to disk."""
         return None
 
-    def executable(self, package: str, name: str) -> str | None:
-        """The file of an executable of a package, where the platform has packages, and this one is installed."""
+    def executable(self, package: str, name: str, *, composable: bool = False) -> str | None:
+        """The file of an executable of a package, where the platform has packages, and this one is installed.
+
+        ``composable``: ``name`` is the class of a composable node, and the file is the library that has it.
+        """
         return None
 
     def middleware(self) -> Middleware:

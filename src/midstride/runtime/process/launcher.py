@@ -553,5 +553,5 @@ def maybe_done(component: ComponentSpec, ended: Exited) -> str:
 def _describe_exit(event: Exited, when: str = "before it registered", hint: str = "") -> str:
     how = wording.exited(event.status)
     tail = event.log_tail.strip()
-    words = f"{event.instance} {how} {when}"
+    words = event.because or f"{event.instance} {how} {when}"
     return wording.with_log(f"{words}{hint}", tail) if tail else f"{words} and wrote nothing to its log{hint}"

@@ -12,6 +12,7 @@ from immutables import Map
 from midstride.errors import StartFailed
 from midstride.model.component import GATES, Gate, ParameterSection
 from midstride.model.configuration import Instance
+from midstride.model.load_words import LoadWords
 from midstride.runtime.backend_protocol import RELAY_SUFFIX, Launch
 from midstride.runtime.options import SystemOptions
 
@@ -47,6 +48,15 @@ def launch_of(
         raise StartFailed(
             f"{name} has `{word}`, and the back end {backend} passes each program the name of its node: omit `{word}`"
         )
+    load = None
+    if component.container is not None:
+        if backend != "ros2":
+            raise StartFailed(f"{name} is a composable node, and the back end {backend} has no component containers")
+        try:
+            load = LoadWords.of(command)
+        except ValueError as error:
+            raise StartFailed(f"{name}: `{command}` cannot be loaded into a container: {error}") from None
+        command, package = component.container.run, component.container.package
     if package is not None and backend != "ros2":
         raise StartFailed(f"{name} is in package {package}, which the back end {backend} cannot look up")
     try:
@@ -86,4 +96,5 @@ def launch_of(
         (*sections, *instance.sections),
         predecessor,
         instance.role,
+        load,
     )

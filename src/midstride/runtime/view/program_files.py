@@ -11,10 +11,10 @@ import asyncio
 import itertools
 import os
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from midstride.errors import BackendError
 from midstride.model.component import ComponentSpec
@@ -27,6 +27,16 @@ from midstride.wire.program import FileFingerprint, Program, files_named
 
 # How long to wait for the answers of components that are being asked (s).
 PATIENCE: Final = 1.0
+
+
+class FindExecutable(Protocol):
+    """As :meth:`midstride.runtime.backend_protocol.Backend.executable`."""
+
+    def __call__(self, package: str, name: str, *, composable: bool = False) -> str | None: ...
+
+
+def _find_none(package: str, name: str, *, composable: bool = False) -> str | None:
+    return None
 
 
 @dataclass
@@ -58,7 +68,7 @@ class Programs:
 
     client: ComponentClient
     directory: Path
-    executable: Callable[[str, str], str | None] = lambda package, name: None
+    executable: FindExecutable = _find_none
     _known: dict[str, _Known] = field(default_factory=dict)
     _asking: dict[str, asyncio.Task[None]] = field(default_factory=dict)
 
@@ -120,7 +130,9 @@ class Programs:
         found = self._executable(component)
         if found is not None:
             named.insert(0, found)
-        if component.gate is not None:  # its process does not say what it has imported
+        if component.container is not None:
+            named = [] if found is None else [found]
+        elif component.gate is not None:  # its process does not say what it has imported
             environment = {**os.environ, **component.environment}
             # PREFIX/lib/PACKAGE/NAME
             prefix = None if found is None else os.path.dirname(os.path.dirname(os.path.dirname(found)))
@@ -133,9 +145,11 @@ class Programs:
         return [file for path in paths if (file := FileFingerprint.read(path, program.started)) is not None]
 
     def _executable(self, component: ComponentSpec) -> str | None:
-        """The file of the package's executable that it names, if it names one."""
+        """The file of the package's executable, or the library of its class, that it names, if it names one."""
         words = _words(component)
-        return None if component.package is None or not words else self.executable(component.package, words[0])
+        if component.package is None or not words:
+            return None
+        return self.executable(component.package, words[0], composable=component.container is not None)
 
     async def close(self) -> None:
         for asking in self._asking.values():

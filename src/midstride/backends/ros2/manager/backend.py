@@ -25,14 +25,15 @@ from rclpy.context import Context
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from midstride.ament_index import executable
+from midstride.ament_index import component_library, executable
 from midstride.backends import processes
 from midstride.backends.common import on_new_thread
 from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, names
 from midstride.backends.ros2.component.early_join import hidden_node
-from midstride.backends.ros2.manager import launching, process_nodes
+from midstride.backends.ros2.manager import component_containers, launching, process_nodes
 from midstride.backends.ros2.manager.addressed_services import AddressedServices
+from midstride.backends.ros2.manager.component_containers import ContainerServices, LoadRequest
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_owner import node_owner
@@ -102,6 +103,8 @@ class Ros2Backend(ProcessBackend, Backend):
             self._served_by,
             self._nodes_in,
             self._addressed,
+            self._load,
+            self._not_loaded,
         )
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
@@ -145,6 +148,8 @@ class Ros2Backend(ProcessBackend, Backend):
     def _program(self, launch: Launch, settings: dds_profiles.DdsSettings) -> tuple[tuple[str, ...], dict[str, str]]:
         """The command with its program found, and the environment that any program gets. Raises StartFailed."""
         program, *rest = launch.arguments
+        if launch.load is not None and launch.foreign is not None:
+            component_library(launch.foreign.package or "", launch.load.plugin, os.environ)
         if launch.package is None:
             command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
         else:
@@ -157,19 +162,24 @@ class Ros2Backend(ProcessBackend, Backend):
         command, environment = self._program(launch, dds_profiles.of_this_process(enabled=self._set_middleware))
         component = launch.foreign
         files: dict[str, str] = {}
+        request: LoadRequest | None = None
         if component is not None and (not component.once or _is_ros_node(launch)):
             name = _name_once(launch)
             if not component.once:
                 name = self._foreign_nodes.start_name(launch, component, lambda _: False)
             arguments, environment, files = self._foreign_nodes.describe(launch, component, name, environment)
             command = (*command, *arguments)
-        return DescribedProcess(command, processes.differences(environment, os.environ), files)
+            request = self._foreign_nodes.load_request(launch, component, name)
+        load = () if request is None else request.command()
+        return DescribedProcess(command, processes.differences(environment, os.environ), files, load)
 
     async def start(self, launch: Launch) -> Handle:
         own_name = full_name(launch.instance, launch.namespace)
         node = full_name(launch.node or launch.instance, launch.namespace)
         command, environment = self._program(launch, self.settings)
         graph = self._joined()
+        if launch.load is not None:
+            component_containers.require_interfaces()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         start_name = StartName(own_name)
         if launch.foreign is None:
@@ -194,6 +204,8 @@ class Ros2Backend(ProcessBackend, Backend):
             words = f"a node {node} is running already: {taken_by}; end it, or use another name"
             raise StartFailed(f"{launch.instance}: {words}")
         graph.starts(own_name)
+        if launch.load is not None:
+            graph.starts(component_containers.container_name(launch))
         if launch.foreign is None:
             if node in self._foreign_nodes.names:
                 environment[ENV_SHARED_NAME] = "1"
@@ -215,7 +227,8 @@ class Ros2Backend(ProcessBackend, Backend):
                 graph.starts(start_name.full or own_name)
             command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, start_name))
             handle = await self._spawn(launch, own_name, command, environment)
-            await self._foreign_nodes.started(record, handle)
+            request = self._foreign_nodes.load_request(launch, launch.foreign, start_name)
+            await self._foreign_nodes.started(record, handle, request)
         except BaseException as error:  # a process without an agent must not keep running
             await super().end(launch.instance, KILL_AT_ONCE)
             self._foreign_nodes.discard(record)
@@ -260,9 +273,25 @@ class Ros2Backend(ProcessBackend, Backend):
             await self._foreign_nodes.finish(instance)
         return await super().end(instance, stop)
 
-    def executable(self, package: str, name: str) -> str | None:
+    async def _load(self, request: LoadRequest, timeout: float) -> None:
+        services = ContainerServices(self._node, request.container)
         try:
-            return executable(package, name, os.environ)
+            await services.load(request, timeout)
+        finally:
+            if self._context is not None:
+                services.close()
+
+    async def _not_loaded(self, instance: str, why: str) -> None:
+        """End a container whose node could not be loaded: it would be a process without the node."""
+        if (process := self._processes.get(instance)) is None:
+            return
+        await super().end(instance, KILL_AT_ONCE)
+        self._on_exit(Exited(instance, None, process.last_words(), f"{instance} cannot be started: {why}"))
+
+    def executable(self, package: str, name: str, *, composable: bool = False) -> str | None:
+        find = component_library if composable else executable
+        try:
+            return find(package, name, os.environ)
         except StartFailed:
             return None
 

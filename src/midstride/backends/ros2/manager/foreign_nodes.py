@@ -7,7 +7,7 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace as replaced
 from pathlib import Path
@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
+from midstride.backends.ros2.manager.component_containers import LoadRequest, container_arguments, container_name
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
 from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, parameters_text, write_parameters
 from midstride.backends.ros2.manager.process_nodes import AskedProcess
@@ -56,6 +57,8 @@ GraphOf: TypeAlias = Callable[[str, bytes | None], Sequence[GraphEndpoint]]
 ServedBy: TypeAlias = Callable[[str, frozenset[str] | None], Served]
 # What the node of a page with this full name and index can be asked, and whether no other had its name at its start.
 Addressed: TypeAlias = Callable[[str, Page, int, bool], NodeServices]
+# Has a node loaded within a time (s).
+Load: TypeAlias = Callable[[LoadRequest, float], Awaitable[None]]
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +69,8 @@ class ForeignNodes:
     ``services(node)``: what a node, by its full name, can be asked; ``graph(node)``: what the graph shows of it;
     ``served(node)``: what the node serves; ``nodes_in(enclave)``: the full names of the nodes in it. To both of the
     former, the mark and the services of a node with a gate inside are passed, where they are known.
-    ``addressed``: what one of several nodes of a name can be asked.
+    ``addressed``: what one of several nodes of a name can be asked. ``load``: carries out a request to a container
+    within a time (s), or raises BackendError; ``failed`` is then called with the instance and why.
     """
 
     def __init__(
@@ -78,6 +82,8 @@ class ForeignNodes:
         served: ServedBy | None = None,
         nodes_in: Callable[[str], Sequence[str]] = lambda enclave: (),
         addressed: Addressed | None = None,
+        load: Load | None = None,
+        failed: Callable[[str, str], Awaitable[None]] | None = None,
     ) -> None:
         self._folder = folder
         self._transport = transport
@@ -99,6 +105,8 @@ class ForeignNodes:
         self._finding: dict[str, asyncio.Task[None]] = {}
         self._nodes_in = nodes_in
         self._addressed = addressed
+        self._load = load
+        self._failed = failed
         self.tells_processes = False  # whether the graph tells which process an endpoint belongs to
 
     def start_name(
@@ -179,6 +187,7 @@ class ForeignNodes:
             was_active=(old := self._agents.get(launch.predecessor)) is not None and old.node.record.was_active,
             role=launch.role,
             replaces=launch.predecessor,
+            container=container_name(launch) if launch.load is not None else "",
         )
         return variables, record
 
@@ -264,6 +273,22 @@ class ForeignNodes:
         enclave = self._enclave(launch, component)
         return ros_arguments(launch, component, name, path if written else None, enclave)
 
+    def load_request(self, launch: Launch, component: ComponentSpec, name: StartName) -> LoadRequest | None:
+        """Return what loads the node of the instance into its container; None where it has none."""
+        if launch.load is None:
+            return None
+        matching = (section.parameters for section in launch.sections if section.matches(name.full))
+        values = {key: value for section in matching for key, value in section.items()}
+        return LoadRequest(
+            container_name(launch),
+            component.package or "",
+            launch.load.plugin,
+            name.full,
+            (*launch.load.remaps, *_remaps(launch, component)),
+            values | self._values(launch, component, name),
+            launch.load.extra,
+        )
+
     def _enclave(self, launch: Launch, component: ComponentSpec) -> str:
         """Where the node of a program is found that gives it its name itself; empty for any other."""
         return enclave_of(system_tag(launch.token), launch.instance) if component.unnamed else ""
@@ -333,20 +358,40 @@ class ForeignNodes:
         if record.index is not None and self._page is not None:
             self._page.free(record.index)
 
-    async def started(self, record: ForeignRecord, handle: Handle) -> None:
-        """Have an agent answer for the process, once its node is known. Raises BackendError, NodeError."""
+    async def started(self, record: ForeignRecord, handle: Handle, request: LoadRequest | None = None) -> None:
+        """Have an agent answer for the process, once its node is known. Raises BackendError, NodeError.
+
+        ``request``: what loads the node into it.
+        """
         record = replace(record, pid=handle.pid or 0)
         record.write(self._folder)
-        await self._answer_once_known(record)
+        if request is None or self._load is None:
+            await self._answer_once_known(record)
+        else:
+            self._search(record.instance, self._answer_once_loaded(record, self._load, request))
+
+    async def _answer_once_loaded(self, record: ForeignRecord, load: Load, request: LoadRequest) -> None:
+        """Answer for the node once it is loaded; else it is said why it cannot be started."""
+        try:
+            await load(request, endpoints_seconds(record.declaration.declared()))
+            await self._answer_once_known(record)
+        except BackendError as error:
+            self._finding.pop(record.instance, None)  # this task, which goes on until the process has ended
+            if self._failed is not None:
+                await self._failed(record.instance, str(error))
+
+    def _search(self, instance: str, work: Coroutine[None, None, None]) -> None:
+        """Have ``work`` done as long as the process of the instance runs."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._finding[instance] = task
+        task.add_done_callback(lambda _: self._finding.pop(instance, None))
 
     async def _answer_once_known(self, record: ForeignRecord) -> None:
         if not record.declaration.declared().unnamed or (record.node and record.welcomed):
             await self._answer(record)
             return
         self._managers.starting[record.instance] = record.role
-        task = asyncio.get_running_loop().create_task(self._find(record))
-        self._finding[record.instance] = task
-        task.add_done_callback(lambda _: self._finding.pop(record.instance, None))
+        self._search(record.instance, self._find(record))
 
     async def _find(self, record: ForeignRecord) -> None:
         """Wait until the graph shows the node, and answer for it; one without a node is answered for all the same."""
@@ -387,7 +432,7 @@ class ForeignNodes:
         listed = None if record.index is None or self._page is None else self._page.ros_nodes(record.index)
         if not record.declaration.declared().preloads:
             listed = listed or None  # its program may be one that the library is not loaded into
-        return AskedProcess(instance, record.node, listed, mark=self._mark(record))
+        return AskedProcess(instance, record.node, listed, mark=self._mark(record), container=record.container)
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
@@ -486,18 +531,23 @@ def ros_arguments(
     launch: Launch, component: ComponentSpec, name: StartName, parameters: Path | None = None, enclave: str = ""
 ) -> list[str]:
     """Return what follows the command: the node's name, the topics of its ports, and its file of parameters."""
+    files = [] if parameters is None else ["--params-file", str(parameters)]
+    if launch.load is not None:  # further nodes that a composable node makes do read the arguments of the process
+        return ["--ros-args", *container_arguments(container_name(launch)), *files]
     own, namespace = split_name(name.full) if name.full else ("", f"/{launch.namespace}")
     of_one = f"{split_name(name.original)[0]}:" if name.original else ""  # further nodes keep their names
     remaps = [f"{of_one}__node:={own}"] if name.passed else []
     if component.unnamed:
         namespace = f"/{launch.namespace}"
     remaps += [f"__ns:={namespace}"] if namespace != "/" else []  # else a further node may have one of its own
-    remaps += [
-        f"{component.topic_of(port)}:={topic}"
-        for port, topic in launch.topics.items()
-        if component.topic_of(port) != topic
-    ]
+    remaps += _remaps(launch, component)
     arguments = [part for remap in remaps for part in ("-r", remap)]
     arguments += ["--enclave", enclave] if enclave else []
-    arguments += [] if parameters is None else ["--params-file", str(parameters)]
+    arguments += files
     return ["--ros-args", *arguments] if arguments else []
+
+
+def _remaps(launch: Launch, component: ComponentSpec) -> list[str]:
+    """The rules for the topics of its ports."""
+    named = ((component.topic_of(port), topic) for port, topic in launch.topics.items())
+    return [f"{own}:={topic}" for own, topic in named if own != topic]

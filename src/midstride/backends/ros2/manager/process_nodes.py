@@ -27,6 +27,7 @@ class AskedProcess:
 
     ``node``: the full name of the node of its program, where that does not use Midstride's API. ``listed``: all nodes
     that the preloaded library has seen, None where there is none. ``programs``: how many processes it is meant to have.
+    ``container``: the full name of the node that has loaded it, if any, which is Midstride's to start and end.
     ``mark``: the identity of an endpoint of its process, where that is known: another may have a node of its name.
     """
 
@@ -35,6 +36,7 @@ class AskedProcess:
     listed: Sequence[str] | None = None
     programs: int = 1
     mark: bytes | None = None
+    container: str = ""
 
     @property
     def is_foreign(self) -> bool:
@@ -85,8 +87,7 @@ def other_nodes(
 
 def _own(asked: AskedProcess, shown: Iterable[tuple[str, NodeProcess]], rmw: RmwImplementation) -> _Found:
     found, marked = _Found(), None if asked.mark is None else rmw.process_with(asked.mark)
-    if asked.node is not None:
-        found.own.add(asked.node)
+    found.own |= {each for each in (asked.node, asked.container) if each}
     for node, process in shown:
         instance = names.controlled(node)
         if instance is not None and instance.instance == full_name(asked.instance):

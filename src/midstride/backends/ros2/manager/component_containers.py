@@ -1,0 +1,119 @@
+"""Component containers: a composable node is loaded into the process of one by the services of composition_interfaces.
+
+The node does not see the arguments of that process, so all that concerns it is in the request: its name, its
+remappings and its parameters.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from rclpy.parameter import Parameter
+
+from midstride.backends.ros2.manager.node_services import AGAIN, RosNodeServices
+from midstride.errors import BackendError, StartFailed
+from midstride.foreign.services import NoAnswer
+from midstride.model.instance_names import full_name, split_name
+from midstride.runtime.backend_protocol import Launch
+
+# What the program of rclcpp_components calls its node, which has the services.
+MANAGER_NODE: Final = "ComponentManager"
+_SUFFIX: Final = "_container"
+_LOAD: Final = "_container/load_node"
+_LIST: Final = "_container/list_nodes"
+
+
+def container_name(launch: Launch) -> str:
+    """The full name of the node of the container of an instance: unlike that of its own node, no other has it."""
+    return f"{full_name(launch.instance, launch.namespace)}{_SUFFIX}"
+
+
+def container_arguments(container: str) -> list[str]:
+    """The arguments for ROS that name the node of a container, and no other one in its process."""
+    name, namespace = split_name(container)
+    rules = [f"{MANAGER_NODE}:__node:={name}"]
+    if namespace != "/":
+        rules += [f"{node}:__ns:={namespace}" for node in (MANAGER_NODE, name)]
+    return [word for rule in rules for word in ("-r", rule)]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadRequest:
+    """A request to ``container``, a full name, to load the class ``plugin`` of ``package`` as ``node``, a full name."""
+
+    container: str
+    package: str
+    plugin: str
+    node: str
+    remaps: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    def command(self) -> tuple[str, ...]:
+        """The same as a command of the shell."""
+        name, namespace = split_name(self.node)
+        words = ["ros2", "component", "load", self.container, self.package, self.plugin, "-n", name]
+        words += ["--node-namespace", namespace] if namespace != "/" else []
+        words += [word for rule in self.remaps for word in ("-r", rule)]
+        for option, values in (("-p", self.parameters), ("-e", self.extra)):
+            words += [word for key, value in values.items() for word in (option, f"{key}:={_text(value)}")]
+        return tuple(words)
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def require_interfaces() -> None:
+    """Raises StartFailed where the services of containers cannot be called."""
+    if importlib.util.find_spec("composition_interfaces") is None:
+        raise StartFailed(
+            "composable nodes cannot be loaded here: there is no package composition_interfaces; source the ROS 2 "
+            "that has rclcpp_components"
+        )
+
+
+class ContainerServices(RosNodeServices):
+    """Those of the container with the full name ``name``, called from the manager's loop without a thread."""
+
+    async def load(self, request: LoadRequest, timeout: float) -> None:
+        """Have the node loaded within ``timeout`` (s). Raises BackendError: why it is not."""
+        from composition_interfaces.srv import ListNodes, LoadNode
+
+        async def lost() -> bool:
+            """Not if it is busy with the request: it answers them one after the other."""
+            try:
+                listed = await self._call(ListNodes, _LIST, AGAIN)
+            except NoAnswer:
+                return False
+            return request.node not in listed.full_node_names
+
+        name, namespace = split_name(request.node)
+        message = LoadNode.Request(
+            package_name=request.package,
+            plugin_name=request.plugin,
+            node_name=name,
+            node_namespace=namespace,
+            remap_rules=[*request.remaps],
+            parameters=_messages(request.parameters),
+            extra_arguments=_messages(request.extra),
+        )
+        what = f"{request.plugin} of package {request.package}"
+        try:
+            response = await self._call(LoadNode, _LOAD, timeout, message, lost)
+        except NoAnswer as error:
+            late = f"if it takes longer, state `takes {2 * timeout:g} s` after its `run` command"
+            raise BackendError(f"{what} is not loaded: {error}; {late}") from None
+        if not response.success:
+            raise BackendError(
+                f"{request.container} has not loaded {what}: {response.error_message or 'no reason given'}"
+            )
+
+
+def _messages(values: Mapping[str, Any]) -> list[Any]:
+    """An empty list has no type that a message could state, and a parameter file leaves it out as well."""
+    return [Parameter(name, value=value).to_parameter_msg() for name, value in values.items() if value != []]

@@ -1,0 +1,57 @@
+/* A library with composable nodes: `demo::Talker` publishes "INSTANCE NUMBER TEXT" on `chatter`, `rate` times a second;
+ * `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled. */
+#include "composable.h"
+
+#include <rosidl_runtime_c/string_functions.h>
+#include <std_msgs/msg/string.h>
+#include <string.h>
+
+#ifndef TEXT
+#define TEXT "old"
+#endif
+
+struct talker {
+  rcl_publisher_t publisher;
+  std_msgs__msg__String message;
+  long long number;
+};
+
+static void talk(struct composable *self)
+{
+  struct talker *talker = self->state;
+  char text[300];
+  const char *instance = getenv("MIDSTRIDE_INSTANCE"); /* of two in a hand-over, the name is one */
+  snprintf(text, sizeof text, "%s-" TEXT " %lld", instance ? instance : rcl_node_get_name(&self->node),
+           ++talker->number);
+  rosidl_runtime_c__String__assign(&talker->message.data, text);
+  require(rcl_publish(&talker->publisher, &talker->message, NULL), "publish");
+}
+
+static void stop(struct composable *self)
+{
+  struct talker *talker = self->state;
+  require(rcl_publisher_fini(&talker->publisher, &self->node), "publisher");
+  std_msgs__msg__String__fini(&talker->message);
+  free(talker);
+}
+
+const char *create(struct composable *self, const char *plugin, double (*number_of)(const char *, double))
+{
+  if (strcmp(plugin, "demo::Failing") == 0)
+    return "Component constructor threw an exception: no device";
+  if (strcmp(plugin, "demo::Crashing") == 0)
+    abort();
+  struct talker *talker = calloc(1, sizeof *talker);
+  rcl_publisher_options_t options = rcl_publisher_get_default_options();
+  options.qos.depth = 1000; /* a listener may be late */
+  talker->publisher = rcl_get_zero_initialized_publisher();
+  require(rcl_publisher_init(&talker->publisher, &self->node, ROSIDL_GET_MSG_TYPE_SUPPORT(std_msgs, msg, String),
+                             "chatter", &options),
+          "publisher");
+  std_msgs__msg__String__init(&talker->message);
+  self->state = talker;
+  self->period = (long long)(1e9 / number_of("rate", 50.0));
+  self->tick = talk;
+  self->end = stop;
+  return NULL;
+}
