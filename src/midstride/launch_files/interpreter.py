@@ -12,6 +12,7 @@ from midstride.launch_files.context import Context, ParametersGiven
 from midstride.launch_files.entity import ENDINGS, Entity, NotALaunchFile, read_entity
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.launch_grammar import check_grammar, text_of
+from midstride.launch_files.launched_containers import Containers
 from midstride.launch_files.node_elements import NodeElements
 from midstride.launch_files.python_files import carried_out
 from midstride.launch_files.values import value_of_text
@@ -29,9 +30,14 @@ class Interpreter(NodeElements):
     """
 
     def __init__(
-        self, files: ReadableFiles, findings: ImportFindings, arguments: Mapping[str, str], run_python: bool = False
+        self,
+        files: ReadableFiles,
+        findings: ImportFindings,
+        arguments: Mapping[str, str],
+        run_python: bool = False,
+        containers: Containers = "omit",
     ) -> None:
-        super().__init__(files, findings)
+        super().__init__(files, findings, containers)
         self.undeclared = dict(arguments)
         self._given = dict(arguments)
         self._run_python = run_python
@@ -61,7 +67,7 @@ class Interpreter(NodeElements):
             "node": self.node,
             "lifecycle_node": self.node,
             "node_container": self.container,
-            "load_composable_node": self.left_out,
+            "load_composable_node": self.load,
             "executable": self.executable,
         }
 
@@ -140,7 +146,8 @@ class Interpreter(NodeElements):
             if after is not None:
                 self.later = after["how"], float("inf") if after["time"] is None else after["time"]
             file, line = process["place"]
-            self.python_process(process, self._at(file, line, span), context)
+            note = self.python_component if "plugin" in process else self.python_process
+            note(process, self._at(file, line, span), context)
             self.later = later
         self._take_over(found["state"], known, rules, span, context)
 

@@ -14,6 +14,7 @@ from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, IncludeTrace
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.interpreter import Interpreter
+from midstride.launch_files.launched_containers import Containers, split_containers
 from midstride.launch_files.launched_parameters import ParameterReader
 from midstride.launch_files.packages import Packages
 from midstride.launch_files.writer import SpecificationDraft, parameter_file_beside, system_name
@@ -45,23 +46,25 @@ def import_launch_file(
     run_python: bool = False,
     run_commands: bool = False,
     management: Management = "manager",
+    containers: Containers = "omit",
 ) -> Imported:
     """The specification, which is to be written to ``target``. Raises SpecificationError if ``path`` is no launch file.
 
     ``target``: None if it is not written to a file; then nothing is written beside it either. With ``run_python``,
     launch files in Python are carried out, which are programs; with ``run_commands``, substitutions that run programs.
-    ``management``: what manages the nodes of a lifecycle manager.
+    ``management``: what manages the nodes of a lifecycle manager; ``containers``: what becomes of composable nodes.
     """
     absolute = os.path.abspath(path)
     packages = Packages(environment, [os.path.abspath(each) for each in include_folders()])
     files = ReadableFiles(Path(absolute), packages.roots(), packages.installed_folders())
     findings = ImportFindings()
-    interpreter = Interpreter(files, findings, arguments, run_python)
+    interpreter = Interpreter(files, findings, arguments, run_python, containers)
     context = Context(packages, files, environment, absolute, IncludeTrace(absolute), run_commands, dict(arguments))
     try:
         interpreter.main(absolute, context)
     except UnknownValue as error:
         raise SpecificationError(f"cannot import {path}: {error}") from None
+    split_containers(interpreter.system, findings)
     start = Span(files.source(absolute), 0, 0)
     for name in interpreter.undeclared:
         findings.add("argument", f"no launch file that was read declares `{name}`", start)

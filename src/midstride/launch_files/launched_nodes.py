@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from midstride.lang.source import Span
 from midstride.launch_files.context import ParametersGiven
+from midstride.model.component import ContainerProgram
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +27,8 @@ class LaunchedNode:
     ``stop``: what of the language's `stop` is stated. ``environment`` has None for a variable that the process does not
     inherit. ``later``: what it waits for, if it is started after others, and ``at`` how long after the first ones (s),
     infinite if it follows the end of a process. ``state``: to which state the launch file takes a lifecycle node; empty
-    for any other node.
+    for any other node. ``container``: the program that loads a composable node, whose class is the first word of
+    ``command``, and ``extra`` what only containers take (``NAME:=VALUE``).
     """
 
     name: str
@@ -47,21 +49,37 @@ class LaunchedNode:
     later: str = ""
     at: float = 0.0
     state: str = ""
+    container: ContainerProgram | None = None
+    extra: tuple[str, ...] = ()
 
     @property
     def role(self) -> str:
         return f"{self.namespace}/{self.name}" if self.namespace else self.name
 
     def run(self, more: Sequence[str] = ()) -> str:
-        """The command, with ``more`` arguments for ROS."""
+        """The command, with ``more`` arguments for ROS; of a composable node, its class and how it is loaded."""
         remaps = [word for old, new in self.remaps for word in ("-r", f"{old}:={new}")]
+        if self.container is not None:
+            return shlex.join([*self.command, *remaps, *(word for each in self.extra for word in ("-e", each))])
         arguments = [*self.ros_arguments, *remaps, *more]
         return shlex.join([*self.command, *(["--ros-args", *arguments] if arguments else [])])
 
 
+@dataclass(frozen=True, slots=True)
+class LoadedNode:
+    """A composable node, still without its container, which the launch file names: ``target`` is a full name."""
+
+    node: LaunchedNode
+    target: str
+
+
 @dataclass(slots=True)
 class LaunchedSystem:
-    """What a launch file starts. ``files``: how many launch files were read."""
+    """What a launch file starts: processes, and the nodes that are ``loaded`` into containers.
+
+    ``files``: how many launch files were read. A loaded node that gets a process of its own is among the ``nodes``.
+    """
 
     nodes: list[LaunchedNode] = field(default_factory=list)
+    loaded: list[LoadedNode] = field(default_factory=list)
     files: int = 0

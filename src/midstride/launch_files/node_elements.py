@@ -20,28 +20,31 @@ from midstride.launch_files.entity import Entity
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.launch_grammar import not_from_0, text_of
-from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedRespawn, LaunchedSystem
+from midstride.launch_files.launched_containers import Containers, left_out
+from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedRespawn, LaunchedSystem, LoadedNode
 from midstride.launch_files.launched_parameters import written_file
 from midstride.launch_files.ros_arguments import RosArguments, split_ros_arguments, words_of
 from midstride.launch_files.substitutions import performed, substituted, typed_truth
 from midstride.launch_files.values import value_of
+from midstride.model.component import DEFAULT_CONTAINER
 from midstride.model.component_rules import MAX_NUMBER
 
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 # Where launch writes what a process prints, which changes nothing that a node does.
 _OUTPUTS: Final = ("screen", "log", "both", "own_log", "full")
-_COMPONENTS: Final = ("composable_node",)
 
 
 class NodeElements(ElementAttributes):
     """Notes processes in ``system``, and in ``findings`` what was left out or assumed.
 
-    ``later``: why what is met now is started after the others, and how long after them (s), if it is.
+    ``later``: why what is met now is started after the others, and how long after them (s), if it is. ``containers``:
+    what becomes of composable nodes.
     """
 
-    def __init__(self, files: ReadableFiles, findings: ImportFindings) -> None:
+    def __init__(self, files: ReadableFiles, findings: ImportFindings, containers: Containers = "omit") -> None:
         super().__init__(files, findings)
+        self._containers = containers
         self.system = LaunchedSystem()
         self.later: tuple[str, float] | None = None
 
@@ -156,6 +159,35 @@ class NodeElements(ElementAttributes):
             found["shell"],
         )
 
+    def python_component(self, found: Mapping[str, Any], span: Span, context: Context) -> None:
+        """A composable node of a launch file in Python, as launch would have it loaded."""
+        if self._containers == "omit":
+            self.findings.add("composable", left_out(found["plugin"]), span)
+            return
+        settings = []
+        section = _section(found["namespace"], found["name"])
+        for kind, value in found["parameters"]:
+            if kind == "path" and value not in found["texts"]:
+                settings.append(ParametersGiven(span, path=value))
+            else:
+                text = found["texts"][value] if kind == "path" else written_file(section, value)
+                settings.append(ParametersGiven(span, text=text))
+        try:
+            node = self._loaded(
+                found["package"],
+                found["plugin"],
+                found["name"] or None,
+                found["namespace"] or None,
+                tuple((old, new) for old, new in found["remaps"]),
+                settings,
+                [f"{name}:={_in_words(value)}" for name, value in found["extra"].items()],
+                span,
+                context,
+            )
+            self._add_loaded(node, found["target"])
+        except UnknownValue as error:
+            self.findings.leave_out(f"the component `{found['plugin']}`", error, span)
+
     def _python_node(self, found: Mapping[str, Any], span: Span, context: Context) -> LaunchedNode:
         package, program = found["package"], found["executable"]
         self._check_package(package, program, span, context)
@@ -182,19 +214,87 @@ class NodeElements(ElementAttributes):
     def container(self, entity: Entity, context: Context) -> None:
         """Raises UnknownValue."""
         self.node(entity, context)
-        self.left_out(entity, context)
+        self._load(entity, f"/{self.system.nodes[-1].role}", context)
 
-    def left_out(self, entity: Entity, context: Context) -> None:
-        """Note the components that are in the element, or would be loaded by it."""
-        for component in entity.named(*_COMPONENTS):
+    def load(self, entity: Entity, context: Context) -> None:
+        """Raises UnknownValue."""
+        target = self.text(entity, "target", context)
+        self._load(entity, target if target.startswith("/") else self.joined(context.namespace, target), context)
+
+    def _load(self, entity: Entity, target: str | None, context: Context) -> None:
+        """Note the composable nodes that are in the element."""
+        for component in entity.named("composable_node"):
             label = str(component.attributes.get("plugin", "a component"))
             try:
                 applies = self.applies(component, context)
-            except UnknownValue:
-                applies = True
-            if applies:
-                message = f"the component `{label}` is left out: it would share the process of its container"
-                self.findings.add("composable", message, component.span)
+                if applies and self._containers == "split":
+                    self._add_loaded(self._composable(component, context), target or "")
+            except UnknownValue as error:
+                applies = self._containers == "omit"  # also what it would be is left out
+                if not applies:
+                    self.findings.leave_out(f"the component `{shortened(label)}`", error, component.span)
+            if applies and self._containers == "omit":
+                self.findings.add("composable", left_out(label), component.span)
+
+    def _composable(self, entity: Entity, context: Context) -> LaunchedNode:
+        """Raises UnknownValue."""
+        package, plugin = self.text(entity, "pkg", context), self.text(entity, "plugin", context)
+        stated = self.text(entity, "name", context) if "name" in entity.attributes else None
+        own = self.text(entity, "namespace", context) if "namespace" in entity.attributes else None
+        namespace = self.joined(context.namespace, own)
+        extra = [
+            (self.text(each, "name", context), self.text(each, "value", context)) for each in entity.named("extra_arg")
+        ]
+        return self._loaded(
+            package,
+            plugin,
+            stated,
+            namespace,
+            (*context.remaps, *self._remaps(entity, context)),
+            [*context.settings, *self._settings(entity, _section(namespace, stated), context)],
+            [f"{name}:={value}" for name, value in extra],
+            entity.span,
+            context,
+        )
+
+    def _loaded(
+        self,
+        package: str,
+        plugin: str,
+        name: str | None,
+        namespace: str | None,
+        remaps: tuple[tuple[str, str], ...],
+        settings: Sequence[ParametersGiven],
+        extra: Sequence[str],
+        span: Span,
+        context: Context,
+    ) -> LaunchedNode:
+        """A composable node. Raises UnknownValue."""
+        if package not in context.packages:
+            self.findings.add_once("package", f"package `{package}` is not here", span)
+        of_class = plugin.rpartition("::")[2]
+        if not name:
+            name = "_".join(word.lower() for word in re.findall(r"[A-Z]?[a-z0-9]+|[A-Z]+(?![a-z])", of_class)) or "node"
+            message = f"the component `{plugin}` has no name here, so its class gives it one; it is named `{name}`"
+            self.findings.add("name", message, span, left_out=False)
+        return LaunchedNode(
+            name=self._name(name, of_class, span),
+            namespace=self._namespace(namespace),
+            program=of_class,
+            command=(plugin,),
+            span=span,
+            remaps=remaps,
+            settings=tuple(settings),
+            package=package,
+            container=DEFAULT_CONTAINER,
+            extra=tuple(extra),
+        )
+
+    def _add_loaded(self, node: LaunchedNode, target: str) -> None:
+        if self.later is not None:
+            how, at = self.later
+            node = replace(node, later=how, at=at)
+        self.system.loaded.append(LoadedNode(node, self.joined("/", target) or "/"))
 
     def _note(self, entity: Entity, context: Context, node: LaunchedNode) -> None:
         """Add the node, with what every process may have."""
@@ -416,6 +516,16 @@ def _seconds(stated: object) -> float | None:
 def _gate(state: str) -> str:
     """The gate of a node whose lifecycle has a ``state``, or that has none: Midstride manages it unless others do."""
     return "lifecycle preload" if state else "preload"
+
+
+def _section(namespace: str | None, name: str | None) -> str:
+    """The section of a parameter file for one node; for all of its process where its name is not known."""
+    return f"{(namespace or '').rstrip('/')}/{name}" if name else "/**"
+
+
+def _in_words(value: object) -> str:
+    """The value of an extra argument, as `ros2 component load` reads it."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _stem(path: str) -> str:

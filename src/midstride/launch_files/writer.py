@@ -20,7 +20,7 @@ from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_managers import with_one_manager
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
 from midstride.launch_files.launched_parameters import LaunchedParameters, ParameterReader, written_file
-from midstride.model.component import ParameterValue
+from midstride.model.component import DEFAULT_CONTAINER, ParameterValue
 from midstride.model.component_rules import MAX_NUMBER
 from midstride.model.lifecycle_management import Management
 from midstride.model.printable import on_one_line
@@ -120,6 +120,13 @@ class SpecificationDraft:
             message = f"the command of `{node.role}` cannot be written; it is `false`"
             self._findings.add("unsupported", message, node.span)
         of_package = f" package {quoted(node.package)}" if node.package and command else ""
+        composable = ""
+        if (container := node.container) is not None and command:
+            composable = "component "
+            if container != DEFAULT_CONTAINER:
+                of_package += f" in {quoted(container.run)}"
+            if container.package != DEFAULT_CONTAINER.package:
+                of_package += f" package {quoted(container.package)}"
         after = f" prefix {prefix}" if (prefix := quoted(shlex.join(node.prefix))) and node.prefix else ""
         if prefix is None:
             self._findings.add("unsupported", f"the prefix of `{node.role}` cannot be written", node.span)
@@ -129,7 +136,7 @@ class SpecificationDraft:
             gate = "once unnamed" if node.unnamed else "once"
             message = f"`{node.program}` is known to end when it has done its work, so `{node.role}` is `once`"
             self._findings.add("once", message, node.span, left_out=False)
-        lines = [f"run {command or quoted('false')}{of_package}{after}{stop} {gate}"]
+        lines = [f"run {composable}{command or quoted('false')}{of_package}{after}{stop} {gate}"]
         lines += self._environment(node)
         stated, beside = self._separated(node, parameters.values)
         written: list[str | dict[str, ParameterValue]] = []

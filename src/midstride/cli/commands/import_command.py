@@ -11,6 +11,7 @@ import click
 from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import json_option, print_json, stride_output, wants_json
 from midstride.launch_files.launch_import import Imported, import_launch_file, parameter_file_beside
+from midstride.launch_files.launched_containers import CONTAINERS, Containers
 from midstride.model.lifecycle_management import MANAGEMENTS, Management
 from midstride.model.wording import counted
 
@@ -33,6 +34,13 @@ INCOMPLETE: Final = 3
     show_default=True,
     help="What manages the nodes of a lifecycle manager, such as Nav2's: it, or Midstride without it.",
 )
+@click.option(
+    "--containers",
+    type=click.Choice(CONTAINERS),
+    default="omit",
+    show_default=True,
+    help="What becomes of composable nodes, which share the process of a container: left out, or one process each.",
+)
 @json_option
 def import_command(
     file: Path,
@@ -41,6 +49,7 @@ def import_command(
     run_python: bool,
     run_commands: bool,
     lifecycle: Management,
+    containers: Containers,
 ) -> int:
     """Write a specification of what a launch file in XML or YAML starts, without ROS.
 
@@ -53,7 +62,9 @@ def import_command(
     beside = None if output is None else parameter_file_beside(output)
     require_new(output)
     require_new(beside)
-    imported = import_launch_file(file, _arguments(arguments), os.environ, output, run_python, run_commands, lifecycle)
+    imported = import_launch_file(
+        file, _arguments(arguments), os.environ, output, run_python, run_commands, lifecycle, containers
+    )
     if output is not None:
         write(output, imported.text)
     if beside is not None and imported.parameters is not None:

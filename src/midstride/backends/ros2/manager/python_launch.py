@@ -163,7 +163,7 @@ class _Visitor:
         elif isinstance(entity, self._actions.RegisterEventHandler):
             self._handler(entity.event_handler)
         elif isinstance(entity, self._ros.LoadComposableNodes):
-            self._components(entity._LoadComposableNodes__composable_node_descriptions)
+            self._load(entity)
         elif isinstance(entity, self._actions.Shutdown):
             self.note("unsupported", "`Shutdown` is left out: it would end all that was started")
         elif isinstance(entity, self._ros.SetUseSimTime):
@@ -442,7 +442,8 @@ class _Visitor:
         self.processes.append(found)
         self._on_exit(action, label)
         if type(action).__name__ == "ComposableNodeContainer":
-            self._components(action._ComposableNodeContainer__composable_node_descriptions)
+            descriptions = action._ComposableNodeContainer__composable_node_descriptions
+            self._components(descriptions, f"/{_role(action)}")
 
     def _stop(self, action: Any) -> Iterator[tuple[str, float]]:
         """How long it may take to end, by the signal that then comes (s), where that is not launch's default."""
@@ -467,13 +468,64 @@ class _Visitor:
             event = self._event("OnProcessExit", action)
             self._function(stated, f"when `{label}` has ended (`on_exit`)", event)
 
-    def _components(self, descriptions: Iterable[Any] | None) -> None:
+    def _load(self, action: Any) -> None:
+        target = action._LoadComposableNodes__target_container
+        if isinstance(target, self._ros.Node):
+            name = f"/{_role(target)}"
+        else:
+            name = self.text(target)
+            if not name.startswith("/"):
+                name = f"{self.context.launch_configurations.get('ros_namespace', '').rstrip('/')}/{name}"
+        self._components(action._LoadComposableNodes__composable_node_descriptions, name)
+
+    def _components(self, descriptions: Iterable[Any] | None, container: str) -> None:
+        """Record the composable nodes that launch would have the ``container`` load."""
         for description in descriptions or ():
             condition = description.condition()
             if condition is None or condition.evaluate(self.context):
-                plugin = self.text(description.node_plugin)
-                message = f"the component `{plugin}` is left out: it would share the process of its container"
-                self.note("composable", message)
+                self.processes.append(self._component(description, container))
+
+    def _component(self, description: Any, container: str) -> dict[str, Any]:
+        from launch_ros.parameter_descriptions import ParameterFile
+        from launch_ros.utilities import evaluate_parameters, normalize_parameter_dict
+
+        configurations = self.context.launch_configurations
+        base, own = configurations.get("ros_namespace") or "", self.text(description.node_namespace)
+        stated: list[Any] = [
+            ParameterFile(each) if isinstance(each, str) else normalize_parameter_dict({each[0]: each[1]})
+            for each in configurations.get("global_params") or ()
+        ]
+        given = evaluate_parameters(self.context, [*stated, *(description.parameters or [])])
+        parameters: list[tuple[str, Any]] = []
+        texts = {}
+        for each in given:
+            if isinstance(each, (str, os.PathLike)):
+                path = os.fspath(each)
+                parameters.append(("path", path))
+                if os.path.dirname(path) == os.environ.get("TMPDIR"):  # as of a node's process
+                    texts[path] = Path(path).read_text(encoding="utf-8")
+            elif isinstance(each, dict):
+                parameters.append(("values", each))
+            else:  # the value of one parameter
+                parameters.append(("values", {each.name: each.value}))
+        extra: dict[str, Any] = {}
+        for each in evaluate_parameters(self.context, description.extra_arguments or []):
+            extra |= each if isinstance(each, dict) else {}
+        remaps = [*configurations.get("ros_remaps", ())]
+        remaps += [(self.text(old), self.text(new)) for old, new in description.remappings or ()]
+        return {
+            "place": getattr(description, "_midstride_place", self._place),
+            "plugin": self.text(description.node_plugin),
+            "package": self.text(description.package),
+            "name": self.text(description.node_name),
+            "namespace": own if own.startswith("/") or not base else f"{base.rstrip('/')}/{own}".rstrip("/"),
+            "target": container,
+            "remaps": remaps,
+            "parameters": parameters,
+            "texts": texts,
+            "extra": extra,
+            "after": None if self._after is None else {"how": self._after["how"], "time": self._after["time"]},
+        }
 
     def _changes(self, after: Any) -> dict[str, str | None]:
         """The variables that are other than at the beginning; None for one that is not there."""

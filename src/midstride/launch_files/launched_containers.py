@@ -1,0 +1,96 @@
+"""Composable nodes in launch files: each gets a process of its own, in which a container of its kind loads it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final, Literal, TypeAlias, get_args
+
+from midstride.launch_files.context import ParametersGiven
+from midstride.launch_files.findings import ImportFindings
+from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem, LoadedNode
+from midstride.model.component import DEFAULT_CONTAINER, ContainerProgram
+
+# What becomes of the composable nodes that share a process: they are left out, or each gets one of its own.
+Containers: TypeAlias = Literal["omit", "split"]
+CONTAINERS: Final[tuple[Containers, ...]] = get_args(Containers)
+_INTRA_PROCESS: Final = "use_intra_process_comms:="
+
+
+def left_out(plugin: str) -> str:
+    """Say that a component is left out, and what takes it over."""
+    message = f"the component `{plugin}` is left out: it would share the process of its container"
+    return f"{message}; with `--containers split`, it has one of its own"
+
+
+def split_containers(system: LaunchedSystem, findings: ImportFindings) -> None:
+    """Have each node that a container loads loaded into a process of its own, and leave out these containers."""
+    started = {f"/{node.role}": node for node in system.nodes}
+    for target in dict.fromkeys(each.target for each in system.loaded):
+        container = started.get(target)
+        loaded = [each for each in system.loaded if each.target == target]
+        system.nodes += [_alone(each, container, findings) for each in loaded]
+        if container is not None:
+            system.nodes.remove(container)
+        for message in _in_words(target, container, loaded):
+            findings.add("composable", message, (container or loaded[0].node).span, left_out=False)
+
+
+def _alone(loaded: LoadedNode, container: LaunchedNode | None, findings: ImportFindings) -> LaunchedNode:
+    """The node with a process of its own, which is started as its ``container`` is."""
+    extra = tuple(each for each in loaded.node.extra if not each.startswith(_INTRA_PROCESS))
+    node = replace(loaded.node, extra=extra)
+    if container is None:
+        return node
+    program = DEFAULT_CONTAINER
+    if container.package:
+        program = ContainerProgram(replace(container, container=None).run(), container.package)
+    else:
+        message = f"`{node.role}` is loaded by `{DEFAULT_CONTAINER.run}`: its container is no program of a package"
+        findings.add("composable", message, node.span)
+    return replace(
+        node,
+        container=program,
+        settings=(*_of_further_nodes(node, container), *node.settings),
+        environment={**container.environment},
+        prefix=container.prefix,
+        respawn=container.respawn,
+        stop=container.stop,
+        later=node.later or container.later,
+        at=max(node.at, container.at),
+    )
+
+
+def _of_further_nodes(node: LaunchedNode, container: LaunchedNode) -> Sequence[ParametersGiven]:
+    """The parameter files of the container: a node that a component makes reads them, and the component does not."""
+    own = {given.path for given in node.settings}
+    return [given for given in container.settings if given.path is not None and given.path in own]
+
+
+def _in_words(target: str, container: LaunchedNode | None, loaded: Sequence[LoadedNode]) -> Iterator[str]:
+    names = ", ".join(f"`{each.node.role}`" for each in loaded)
+    where = f"the container `{target.strip('/')}`"
+    if container is None:
+        where += ", which is started elsewhere,"
+    alone = "a process of its own" if len(loaded) == 1 else "a process each"
+    yield f"{names} of {where} get{'s' if len(loaded) == 1 else ''} {alone}, and the container is left out"
+    shared = [f"`{each.node.role}`" for each in loaded if any(_is_intra_process(extra) for extra in each.node.extra)]
+    if len(shared) > 1:
+        yield (
+            f"{', '.join(shared)} had intra-process communication: what they exchange is serialized now, and passes "
+            "through the middleware"
+        )
+    if container is not None:
+        own = {given.path for each in loaded for given in each.node.settings}
+        files = [given.path for given in container.settings if given.path is not None and given.path not in own]
+        if files or any(given.path is None for given in container.settings):
+            what = ", ".join(f"`{os.path.basename(path)}`" for path in files) or "the values"
+            yield (
+                f"{what} of {where} are left out: nodes that a component makes would read them; name them in "
+                "`parameters` of the component that needs them"
+            )
+
+
+def _is_intra_process(extra: str) -> bool:
+    return extra.startswith(_INTRA_PROCESS) and extra.removeprefix(_INTRA_PROCESS).lower() == "true"

@@ -1,0 +1,119 @@
+"""Composable nodes in launch files: left out and named, or with a process of their own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from midstride.launch_files.launch_import import Imported, import_launch_file
+from midstride.model.component import ComponentSpec, ContainerProgram
+from tests.launch_files.support import of_xml, specification
+
+PARAMETERS = """camera:
+  ros__parameters: {rate: 30.0}
+/**/costmap:
+  ros__parameters: {width: 5}
+"""
+# A container with two components, a node that is one, and a container that is started elsewhere.
+ROBOT = """
+<push-ros-namespace namespace="front"/>
+<node_container pkg="rclcpp_components" exec="component_container_mt" name="pipeline" namespace="" respawn="true">
+  <env name="RMW" value="x"/>
+  <composable_node pkg="cameras" plugin="cameras::Camera" name="camera">
+    <param name="gain" value="2"/>
+    <remap from="image" to="/image"/>
+    <extra_arg name="use_intra_process_comms" value="true"/>
+  </composable_node>
+  <composable_node pkg="cameras" plugin="cameras::Rectify" name="rectify">
+    <extra_arg name="use_intra_process_comms" value="true"/>
+    <extra_arg name="enable_rosout" value="false"/>
+  </composable_node>
+  <composable_node pkg="cameras" plugin="cameras::Never" name="never" if="false"/>
+</node_container>
+<node pkg="rclcpp_components" exec="component_container_isolated" name="nav2_container" ros_args="--log-level warn">
+  <param from="$(dirname)/nav.yaml"/>
+</node>
+<load_composable_node target="nav2_container">
+  <composable_node pkg="nav2_planner" plugin="nav2_planner::PlannerServer" name="planner_server">
+    <param from="$(dirname)/nav.yaml"/>
+  </composable_node>
+</load_composable_node>
+<load_composable_node target="/elsewhere/box">
+  <composable_node pkg="nav2_route" plugin="nav2_route::RouteServer" name="route_server" namespace="/other"/>
+</load_composable_node>
+<node pkg="tools" exec="watch" name="watch"/>
+"""
+
+
+def split(folder: Path, body: str) -> Imported:
+    (folder / "nav.yaml").write_text(PARAMETERS, encoding="utf-8")
+    file = folder / "robot.launch.xml"
+    file.write_text(f"<launch>\n{body}\n</launch>\n", encoding="utf-8")
+    return import_launch_file(file, {}, {}, folder / "imported.stride", containers="split")
+
+
+def components(found: Imported, folder: Path) -> dict[str, ComponentSpec]:
+    system = specification(found, folder)
+    return {node.role: system.components[node.component] for node in system.nodes.values()}
+
+
+def test_components_get_a_process_each_and_their_containers_are_left_out(tmp_path: Path) -> None:
+    found = split(tmp_path, ROBOT)
+    nodes = components(found, tmp_path)
+    assert set(nodes) == {"front/camera", "front/rectify", "front/planner_server", "other/route_server", "front/watch"}
+    camera, rectify = nodes["front/camera"], nodes["front/rectify"]
+    assert (camera.run, camera.package) == ("cameras::Camera -r image:=/image", "cameras")
+    assert camera.container == ContainerProgram("component_container_mt", "rclcpp_components")
+    assert dict(camera.environment) == {"RMW": "x"}
+    assert camera.parameters["gain"].value == 2
+    assert camera.gate == "preload"
+    assert rectify.run == "cameras::Rectify -e enable_rosout:=false"
+    assert nodes["front/watch"].container is None
+    system = specification(found, tmp_path)
+    assert system.nodes["front/camera"].respawn is not None
+
+
+def test_a_container_that_is_a_node_or_is_started_elsewhere(tmp_path: Path) -> None:
+    nodes = components(split(tmp_path, ROBOT), tmp_path)
+    planner, route = nodes["front/planner_server"], nodes["other/route_server"]
+    program = "component_container_isolated --ros-args --log-level warn"
+    assert planner.container == ContainerProgram(program, "rclcpp_components")
+    assert route.container == ContainerProgram()
+
+
+def test_what_changes_is_said(tmp_path: Path) -> None:
+    said = [str(each) for each in split(tmp_path, ROBOT).findings if each.kind == "composable"]
+    assert [each.partition("composable: ")[2] for each in said] == [
+        "`front/camera`, `front/rectify` of the container `front/pipeline` get a process each, and the container is "
+        "left out",
+        "`front/camera`, `front/rectify` had intra-process communication: what they exchange is serialized now, and "
+        "passes through the middleware",
+        "`front/planner_server` of the container `front/nav2_container` gets a process of its own, and the container "
+        "is left out",
+        "`other/route_server` of the container `elsewhere/box`, which is started elsewhere, gets a process of its own, "
+        "and the container is left out",
+    ]
+
+
+def test_parameter_files_of_a_container_alone_are_named(tmp_path: Path) -> None:
+    body = """
+<node_container pkg="rclcpp_components" exec="component_container" name="box" namespace="">
+  <param from="$(dirname)/nav.yaml"/>
+  <composable_node pkg="cameras" plugin="cameras::Camera" name=""/>
+</node_container>"""
+    found = split(tmp_path, body)
+    said = [each.message for each in found.findings]
+    assert any(each.startswith("`nav.yaml` of the container `box` are left out: ") for each in said), said
+    assert "the component `cameras::Camera` has no name here, so its class gives it one; it is named `camera`" in said
+    assert set(components(found, tmp_path)) == {"camera"}
+
+
+def test_unless_asked_for_they_are_left_out_and_named(tmp_path: Path) -> None:
+    (tmp_path / "nav.yaml").write_text(PARAMETERS, encoding="utf-8")
+    found = of_xml(tmp_path, ROBOT)
+    assert set(components(found, tmp_path)) == {"front/pipeline", "front/nav2_container", "front/watch"}
+    left_out = [each.message for each in found.findings if each.kind == "composable"]
+    assert len(left_out) == 4
+    assert left_out[0] == (
+        "the component `cameras::Camera` is left out: it would share the process of its container; with "
+        "`--containers split`, it has one of its own"
+    )
