@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import asyncio
 import sys
+import time
 from functools import partial
 from pathlib import Path
 
 import pytest
 from immutables import Map
+from msgspec import UNSET
 
 from midstride import backends
 from midstride.errors import CommandRefused
 from midstride.lang.load import load, load_text
 from midstride.model.component import ParameterValue
 from midstride.plan.request import PlanRequest
+from midstride.plan.runtime_values import time_of
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
@@ -97,7 +100,17 @@ node right : Relayed { cmd -> /right   parameters { speed = 2.0 } }
 
 timing { watch_after 2 s }
 """
-KEPT = {("gain", "kept", "unknown"), ("offset", "kept", "unknown"), ("speed", "kept", "set")}
+# The library notes what requests set; of a program behind a relay nothing does.
+KEPT = {
+    ("left", "gain", "kept", "set"),
+    ("left", "offset", "kept", "node"),
+    ("left", "speed", "kept", "set"),
+    ("left", "weights", "kept", "set"),
+    ("right", "gain", "kept", "unknown"),
+    ("right", "offset", "kept", "unknown"),
+    ("right", "speed", "kept", "set"),
+    ("third", "offset", "kept", "node"),
+}
 
 
 def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> None:
@@ -130,19 +143,22 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
 
             # Asked for its parameters once, it is known what it started with.
             assert await values("left") == {"speed": 1.0, "gain": 0.1, "frame": "base"}
+            begun = time.time()
             assert await set_by_a_client(bare, "/left", "gain", 0.25) == (True, "")
             (report,) = await manager.parameters("left")
-            assert [(each.value, each.origin) for each in report.parameters if each.name == "gain"] == [
-                (0.25, "unknown")
-            ]
-            # What a node sets itself is told from that as long as nothing has asked it to set anything.
+            ((value, origin, set_at),) = (
+                (each.value, each.origin, each.set_at) for each in report.parameters if each.name == "gain"
+            )
+            assert (value, origin) == (0.25, UNSET)
+            assert isinstance(set_at, float) and begun < set_at < time.time()
+            # What a node sets itself is told from that.
             (tmp_path / "calibrate").touch()
 
             async def sets_its_own(role: str, origin: str) -> bool:
                 (report,) = await manager.parameters(role)
                 return (0.5, origin) in [(each.value, each.origin) for each in report.parameters]
 
-            for role, origin in (("third", "node"), ("left", "unknown"), ("right", "unknown")):
+            for role, origin in (("third", "node"), ("left", "node"), ("right", "unknown")):
                 await until_async(partial(sets_its_own, role, origin))
             await manager.set_parameters("left", {"speed": 2, "weights": []})
             with pytest.raises(CommandRefused, match=r"left refuses speed = 6\.0: it is too fast"):
@@ -184,11 +200,13 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             # What was set travels, also what a tool has set.
             outcome = await carried_out(PlanRequest(restart=("left", "right", "third")))
             assert (outcome.outcome, outcome.because) == ("done", None)
-            assert {(each.node, each.parameter, each.fate, each.origin) for each in outcome.parameters} == {
-                *((role, *fate) for role in ("left", "right") for fate in KEPT),
-                ("left", "weights", "kept", "set"),
-                ("third", "offset", "kept", "node"),
-            }
+            assert {(each.node, each.parameter, each.fate, each.origin) for each in outcome.parameters} == KEPT
+            (gain,) = (each for each in outcome.parameters if (each.node, each.parameter) == ("left", "gain"))
+            assert gain.set_at == set_at
+            assert gain.words == (
+                "left: gain = 0.25, set at run time: kept if the program of Driver declares it "
+                f"(a request has set it at {time_of(set_at)})"
+            )
             assert await values("left") == {"speed": 3.0, "gain": 0.25, "frame": "base"}
             assert await values("right") == {"speed": 3.0, "gain": 0.75, "frame": "base"}
             (report,) = await manager.parameters("left")

@@ -105,6 +105,10 @@ class SimulatedNode:
         self.events.append(f"{self.instance} set {' '.join(f'{name}={value}' for name, value in values.items())}")
         return None
 
+    def settings_in(self, request: bytes) -> Mapping[str, Any]:
+        """Nothing notes its requests."""
+        return {}
+
     async def export_state(self, timeout: float) -> bytes | str:
         await self._unless_hung("export", timeout)
         self.events.append(f"{self.instance} exported")

@@ -170,6 +170,9 @@ class Services:
             raise NoAnswer("no answer")
         return {}
 
+    def settings_in(self, request: bytes) -> dict[str, Any]:
+        return {}
+
     def close(self) -> None:
         pass
 

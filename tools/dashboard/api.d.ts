@@ -847,7 +847,7 @@ declare namespace Api {
     despite_requirements?: boolean;
   }
 
-  /** A parameter of a component. Where it was set at run time, `declared` is the value that it was started with. `origin`: `unknown` where a ROS tool has set it, or the node itself; `node` where it is known that the node itself has, as nothing has asked it to set parameters; absent otherwise. */
+  /** A parameter of a component. Where it was set at run time, `declared` is the value that it was started with. `origin`: `unknown` where a ROS tool has set it, or the node itself; `node` where it is known that the node itself has, as nothing has asked it to set that parameter; absent otherwise. `set_at`: when a request has set it (Unix time, s), where that was noted. */
   interface ParameterStatus {
     name: string;
     /** the value of a parameter; a list is of one kind */
@@ -856,6 +856,7 @@ declare namespace Api {
     declared: boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[];
     set_at_run_time: boolean;
     origin?: "node" | "unknown";
+    set_at?: number;
   }
 
   /** Parameters of an instance, as it has them now. `unread`: why its node has not said them; `parameters` are then those that it said last. Absent if it has. */
@@ -1216,7 +1217,7 @@ declare namespace Api {
     seconds?: number;
   }
 
-  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. `refused`: the new node, which does not use Midstride's API, refused it. Of a change that sets parameters: `set`: the node has the value. `set_back`: the change was rolled back, and the node had the value for `seconds`; `not_set_back`: it has it still. `not_set`: it has not accepted it. `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known to have been set: a ROS tool has set it, or the node itself. `node`: the node itself has, as nothing has asked it to set parameters. */
+  /** A parameter value that was set while the node ran, and what becomes of it in a change. `kept`: the node keeps it. `file_wins`: the specification changed the value as well. `left_behind`: the new component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on the old instance when the new one had taken over, and the new one refused it. `refused`: the new node, which does not use Midstride's API, refused it. Of a change that sets parameters: `set`: the node has the value. `set_back`: the change was rolled back, and the node had the value for `seconds`; `not_set_back`: it has it still. `not_set`: it has not accepted it. `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known to have been set: a ROS tool has set it, or the node itself. `node`: the node itself has, as nothing has asked it to set that parameter. `set_at`: when a request has set it, where that was noted. */
   interface RuntimeValue {
     node: string;
     parameter: string;
@@ -1226,6 +1227,8 @@ declare namespace Api {
     origin: "node" | "set" | "unknown";
     /** at most so long */
     seconds?: number;
+    /** when a request has set it (Unix time, s) */
+    set_at?: number;
     /** the same for people */
     words: string;
   }
@@ -1480,7 +1483,7 @@ declare namespace Api {
     events: Event[];
   }
 
-  /** How long steps take, where known, and for how long a hand-over tries and watches a new publisher. */
+  /** How long steps take, where known, and what a hand-over takes its time for. */
   interface TimingForm {
     attach?: number;
     create?: number;
@@ -1491,6 +1494,7 @@ declare namespace Api {
     probation_timeout?: number;
     remove?: number;
     set?: number;
+    state_timeout?: number;
     upgrade?: number;
     watch_after?: number;
   }

@@ -53,6 +53,9 @@ class ParameterHolder(Protocol):
     def change_record(self, **changes: Any) -> None:
         """Change these fields of the record."""
 
+    def note_settings(self) -> None:
+        """Note what requests have asked the node to set."""
+
 
 class ForeignParameters:
     """The ROS parameters of ``node``, which are in its state as of the last :meth:`read`."""
@@ -82,6 +85,7 @@ class ForeignParameters:
             self._node.change_record(started_with={**record.started_with, **new})
         started_with = self._node.record.started_with or {}
         of_modes = {name for functionality in self._node.component for name in functionality.parameters()}
+        self._node.note_settings()
         self._node.parameters = values
         self._node.declared = {
             name: started_with.get(name, value)

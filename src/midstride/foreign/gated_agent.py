@@ -88,6 +88,7 @@ class ForeignAgent:
         self._parameters: ForeignParameters | None = None
         if services is not None:
             self._parameters = ForeignParameters(self.node, services)
+            self.node.settings_in = services.settings_in
         if services is not None and self.node.component.has_lifecycle:
             self.lifecycle = LifecycleNode(self.node, services)
             if gates is None:

@@ -19,6 +19,7 @@ from midstride.foreign.page import (
     OUTPUT,
     GoalState,
     KnownGoal,
+    KnownSetting,
     Page,
     PagePort,
     PortFlag,
@@ -197,13 +198,17 @@ class Gates:
             if index is not None:
                 self.page.ring(index)
 
-    def asked(self, service: str) -> bool | None:
-        """Return whether this node has taken a request to the service of that full name; None if it has no such.
+    def settings(self) -> list[KnownSetting]:
+        """The requests to set parameters that this node has taken, in their order. Raises BackendError."""
+        return self.page.settings(self.index)
+
+    def taken(self, service: str) -> int | None:
+        """How many requests to the service of that full name this node has taken; None if it has no such.
 
         Those of the manager to this node alone do not count.
         """
         port = self.page.servers(self.index).get(service)
-        return None if port is None else bool(port.passed)
+        return None if port is None else int(port.passed)
 
     def has_clients_of(self, other: int) -> bool:
         """Return whether each service that the node ``other`` has, too, shows as many clients to this one."""

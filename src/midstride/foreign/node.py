@@ -19,7 +19,7 @@ from midstride.foreign.page import SEND_GOAL, PagePort
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.response_watch import ResponseWatch
-from midstride.model.component import ComponentSpec
+from midstride.model.component import ComponentSpec, same_value
 from midstride.node.author.message_times import window_of
 from midstride.wire.state import (
     NOT_WELCOMED,
@@ -67,6 +67,12 @@ class ForeignNode:
         self.parameters: dict[str, Any] = {}
         self.declared: dict[str, Any] = {}
         self.unread_parameters = False  # it has not answered when it was last asked for them
+        # By parameter, when a request has set it last (Unix time, s), and the value; whether these are all requests.
+        self.settings: dict[str, tuple[float, Any]] = {}
+        self._all_settings = False
+        self.settings_in: Callable[[bytes], Mapping[str, Any]] | None = (
+            None  # those of a request, of which these are the bytes
+        )
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self.undeclared: list[UndeclaredTopic] = []  # its topics that are no ports
         self.serves: list[str] = []  # its services and ROS actions that others may rely on
@@ -162,7 +168,9 @@ class ForeignNode:
 
     def state(self) -> ComponentState:
         record = self.record
-        unknown = [name for name in self.declared if name not in record.requested]
+        set_at = self._set_at()
+        unknown = [name for name in self.declared if name not in record.requested and name not in set_at]
+        known = self._all_settings  # what no request has asked for is the node's own
         functionalities = {
             name: FunctionalityState(
                 mode=mode,
@@ -199,17 +207,33 @@ class ForeignNode:
             host=THIS_HOST,
             unread_parameters=self.unread_parameters,
             unknown_origin=unknown,
-            own_values=[name for name in unknown if self._sets_its_own and name not in record.taken_over],
+            own_values=[
+                name for name in unknown if known and name not in self.settings and name not in record.taken_over
+            ],
+            set_at=set_at,
             simulated_time=record.simulated_time,
             clock_speed=self.others.speed if record.simulated_time else 1.0,
             unfinished=self.unfinished,
         )
 
-    @property
-    def _sets_its_own(self) -> bool:
-        """Return whether no other program has asked the node to set parameters since its start."""
-        services = (f"{self.record.node}/{name}" for name in SETTING)
-        return self.requests is not None and all(self.requests.asked(name) is False for name in services)
+    def note_settings(self) -> None:
+        """Note what requests have asked the node to set since its start, where the library notes it."""
+        if self.requests is None or self.settings_in is None:
+            return
+        services = [f"{self.record.node}/{name}" for name in SETTING]
+        taken = [self.requests.taken(service) for service in services]
+        try:
+            noted = [each for each in self.requests.settings() if each.service in services]
+        except BackendError:  # what is not known counts as such
+            noted = []
+        self._all_settings = None not in taken and sum(filter(None, taken)) == len(noted)
+        for at, _, request in noted:
+            self.settings |= {name: (at, value) for name, value in self.settings_in(request).items()}
+
+    def _set_at(self) -> dict[str, float]:
+        """When a request has set those parameters of the node that have its value still (Unix time, s)."""
+        found = ((name, self.settings[name]) for name in self.declared if name in self.settings)
+        return {name: at for name, (at, value) in found if same_value(value, self.parameters.get(name))}
 
     @property
     def answers(self) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 import time
 from collections.abc import Iterator, Sequence
 from ctypes import c_char, c_int, c_int64, c_uint8, c_uint32, c_uint64, c_void_p
@@ -40,6 +41,10 @@ SEND_GOAL: Final = "/_action/send_goal"
 GET_RESULT: Final = "/_action/get_result"
 # How many bytes the results of goals have at most, in all, that are kept since no client has fetched them.
 KEPT_RESULTS: Final = 16 << 20
+# How the file of a node beside the page ends that has its requests to set parameters, and what precedes each of them:
+# when it was taken (Unix time, ns), and how many bytes follow, the name of the service, a 0 and the request.
+SETTINGS: Final = "settings"
+_SETTING: Final = struct.Struct("<qQ")
 
 # The folder beside the control sockets with the records of the nodes and this file.
 GATES_FOLDER: Final = "gates"
@@ -179,6 +184,14 @@ class KnownGoal(NamedTuple):
     action: str
     state: GoalState
     id: bytes
+
+
+class KnownSetting(NamedTuple):
+    """A request to set parameters: when a node has taken it (Unix time, s), by which service, and its bytes."""
+
+    at: float
+    service: str
+    request: bytes
 
 
 class PageRequests(ctypes.Structure):
@@ -482,6 +495,25 @@ class Page:
         """The request ``number`` has been answered, or is not waited for any longer; it may be handled all the same."""
         for suffix in ("", ".answer"):
             self._asked(index, number, suffix).unlink(missing_ok=True)
+
+    def settings(self, index: int) -> list[KnownSetting]:
+        """The requests to set parameters that the node ``index`` has taken, in their order. Raises BackendError."""
+        path, found = self.path.with_name(f"{self.path.name}.{index}.{SETTINGS}"), list[KnownSetting]()
+        try:
+            noted = path.read_bytes()
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise BackendError(f"{path} cannot be read: {error.strerror or error}") from None
+        begin = 0
+        while len(noted) >= begin + _SETTING.size:
+            at, length = _SETTING.unpack_from(noted, begin)
+            begin += _SETTING.size + length
+            if len(noted) < begin:  # it is being written
+                break
+            service, _, request = noted[begin - length : begin].partition(b"\0")
+            found.append(KnownSetting(at / 1e9, service.decode(), request))
+        return found
 
     def _asked(self, index: int, number: int, suffix: str = "") -> Path:
         return self.path.with_name(f"{self.path.name}.{index}.{number}{suffix}")

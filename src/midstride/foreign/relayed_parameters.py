@@ -44,6 +44,9 @@ class RelayedNode:
     def change_record(self, **changes: Any) -> None:
         self.record = replace(self.record, **changes)
 
+    def note_settings(self) -> None:
+        """Nothing: no library notes the requests to a program behind a relay."""
+
 
 class RelayedParameters:
     """The parameters of ``node``, read and set by its own ``services``."""

@@ -42,6 +42,9 @@ class NodeServices(ParameterAccess, StateAccess, Protocol):
     def close(self) -> None:
         """Nothing is asked any more."""
 
+    def settings_in(self, request: bytes) -> Mapping[str, Any]:
+        """The parameters that a request is to set, of which these are the bytes in DDS, and their values."""
+
     async def lifecycle_state(self, timeout: float) -> str:
         """The label of the state: `unconfigured`, `inactive`, `active`, `finalized`, or that of a transition."""
 

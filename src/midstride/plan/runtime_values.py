@@ -6,11 +6,12 @@ wins. Pure: the runtime says which values were set, and does what is decided her
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 
 from immutables import Map
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET, UnsetType, structs
 
 from midstride.codec.form import Form, field
 from midstride.codec.parameter import ValueForm, json_value
@@ -62,7 +63,7 @@ class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_
 
     `origin`: `unknown` where a node without Midstride's API has another value than at its start, and that is not known
     to have been set: a ROS tool has set it, or the node itself. `node`: the node itself has, as nothing has asked it to
-    set parameters.
+    set that parameter. `set_at`: when a request has set it, where that was noted.
     """
 
     what: ClassVar[str] = "a parameter value"
@@ -73,6 +74,9 @@ class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_
     fate: Fate
     origin: Origin = "set"
     seconds: Annotated[float, field("a number of seconds", "at most so long")] | UnsetType = UNSET
+    set_at: (
+        Annotated[float, field("a time in Unix seconds", "when a request has set it (Unix time, s)")] | UnsetType
+    ) = UNSET
     words: Annotated[str, field("a text", "the same for people")]
 
 
@@ -167,6 +171,23 @@ def of_change(
         for role in roles
     )
     return tuple(value for each in decided for value in each)
+
+
+def time_of(at: float) -> str:
+    """A Unix time (s) in local time, as ``2026-11-27 14:03:22``."""
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(at))
+
+
+def with_times(values: Sequence[RuntimeValue], times: Callable[[str], Mapping[str, float]]) -> tuple[RuntimeValue, ...]:
+    """``values`` with when a request has set each (Unix time, s), where that is known: ``times`` of its role say it."""
+
+    def timed(value: RuntimeValue) -> RuntimeValue:
+        at = times(value.node).get(value.parameter)
+        if at is None or value.set_at is not UNSET or value.origin != "set":
+            return value
+        return structs.replace(value, set_at=at, words=f"{value.words} (a request has set it at {time_of(at)})")
+
+    return tuple(map(timed, values))
 
 
 def left_behind(role: str, name: str, value: ParameterValue, component: str, origin: Origin = "set") -> RuntimeValue:

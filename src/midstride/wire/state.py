@@ -178,7 +178,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     of the computer or container that its process runs on, empty where that is not known. ``unread_parameters``: whether
     any were set while it ran is not known, as its parameter services do not answer. ``unknown_origin``: those of
     ``declared`` that a ROS tool has set, or the node itself; ``own_values``: those of them that the node has set, as no
-    other program has asked it to set any since its start. ``unfinished``: once it ends, in which way its `on_stop`
+    other program has asked it to set them since its start. ``set_at``: when a request has set those of ``declared`` of
+    which that is known (Unix time, s). ``unfinished``: once it ends, in which way its `on_stop`
     has failed, or what it has left unanswered, or which goals.
     """
 
@@ -211,6 +212,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     unread_parameters: bool = False
     unknown_origin: list[str] = []
     own_values: list[str] = []
+    set_at: dict[str, float] = {}
     unfinished: str | None = None
 
     def set_values(self) -> dict[str, Any]:

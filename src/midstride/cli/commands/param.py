@@ -227,8 +227,9 @@ def _component(status: Status, node: str) -> InstanceStatus:
 
 def _line(parameter: ParameterStatus) -> str:
     from midstride.codec.parameter import from_json
-    from midstride.plan.runtime_values import SET_BY
+    from midstride.plan.runtime_values import SET_BY, time_of
 
     started = f" (started with {from_json(parameter.declared)!r})"
-    started = f", {SET_BY[parameter.origin or 'set']}{started}" if parameter.set_at_run_time else ""
+    at = f" at {time_of(parameter.set_at)}" if parameter.set_at else ""
+    started = f", {SET_BY[parameter.origin or 'set']}{at}{started}" if parameter.set_at_run_time else ""
     return f"{parameter.name} = {from_json(parameter.value)!r}{started}"

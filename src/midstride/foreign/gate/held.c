@@ -151,8 +151,11 @@ bool take_held(struct entry *entry, struct requests *requests, struct request_in
       held->taken = NULL;
     }
     free_held(held);
-    if (read)
+    if (read) {
+      if (own && !is_asked(&info->id))
+        note_setting(entry, request);
       return true;
+    }
     real_rcutils_reset_error()();
     if (own && !is_asked(&info->id))
       answered(entry, requests, &info->id, false);

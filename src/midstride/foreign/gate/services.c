@@ -101,6 +101,7 @@ static int take_request(const void *service, struct request_info *info, void *re
     if (!begin_request(requests, entry, &info->id, &subject, arrival(received), &taken))
       return NO_REQUEST;
     remember(entry, taken);
+    note_setting(entry, request);
     return 0;
   case ADD:
     if (!claim_request(requests, &info->id, true) || !(taken = calloc(1, sizeof *taken)))

@@ -143,5 +143,10 @@ void take_asked(void);
 /* Write the response to a request of the manager into its file, which is there once it is whole. */
 int respond(const struct entry *entry, const struct request_id *id, const void *response);
 
+/* -- requests to set parameters (settings.c) -------------------------------------------------------------------------- */
+
+/* Note for the manager what the node is about to be asked to set, if that is what it has taken. */
+void note_setting(const struct entry *entry, const void *request);
+
 #pragma GCC visibility pop
 #endif

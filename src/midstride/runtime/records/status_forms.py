@@ -5,13 +5,13 @@ Apart from :mod:`.reports`, so that a client that only looks need not import wha
 
 from __future__ import annotations
 
-import time
 from typing import Annotated, Literal, TypeAlias
 
 from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.form import Report
 from midstride.codec.parameter import ValueForm
+from midstride.plan.runtime_values import time_of
 from midstride.verdicts import SystemCondition
 
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
@@ -128,7 +128,8 @@ class ParameterStatus(Report, frozen=True):
     """A parameter of a component. Where it was set at run time, `declared` is the value that it was started with.
 
     `origin`: `unknown` where a ROS tool has set it, or the node itself; `node` where it is known that the node itself
-    has, as nothing has asked it to set parameters; absent otherwise.
+    has, as nothing has asked it to set that parameter; absent otherwise. `set_at`: when a request has set it
+    (Unix time, s), where that was noted.
     """
 
     name: str
@@ -136,6 +137,7 @@ class ParameterStatus(Report, frozen=True):
     declared: ValueForm
     set_at_run_time: bool
     origin: Literal["unknown", "node"] | UnsetType = UNSET
+    set_at: float | UnsetType = UNSET
 
 
 class ParametersReport(Report, frozen=True):
@@ -281,8 +283,8 @@ class ChangeLock(Report, frozen=True, kw_only=True):
     @property
     def words(self) -> str:
         """Who has locked the system, until when, and why."""
-        end = "until it is unlocked" if self.until is None else f"until {_local_time(self.until)}"
-        return f"the system is locked by {self.by} since {_local_time(self.since)}, {end}: {self.reason}"
+        end = "until it is unlocked" if self.until is None else f"until {time_of(self.until)}"
+        return f"the system is locked by {self.by} since {time_of(self.since)}, {end}: {self.reason}"
 
 
 class RequirementStatus(Report, frozen=True, kw_only=True):
@@ -298,10 +300,6 @@ class RequirementStatus(Report, frozen=True, kw_only=True):
     def words(self) -> str:
         """The requirement, and whether it holds."""
         return f"{self.requirement}: {'it holds' if self.holds else self.because}"
-
-
-def _local_time(at: float) -> str:
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(at))
 
 
 class Middleware(Report, frozen=True, kw_only=True):

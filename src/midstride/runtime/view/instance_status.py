@@ -161,6 +161,7 @@ def parameters(state: ComponentState) -> list[ParameterStatus]:
             state.declared.get(name, value),
             name in state.declared,
             "node" if name in state.own_values else "unknown" if name in state.unknown_origin else UNSET,
+            state.set_at.get(name, UNSET),
         )
         for name, value in sorted(state.parameters.items())
     ]

@@ -24,6 +24,7 @@ class ReportedValues:
     _of_instance: dict[str, Values] = field(default_factory=dict)
     _put_back: dict[str, Values] = field(default_factory=dict)  # by role, until they are saved
     _unknown: dict[str, Mapping[str, Origin]] = field(default_factory=dict)  # by instance
+    _set_at: dict[str, Mapping[str, float]] = field(default_factory=dict)  # by instance
 
     def report(self, state: ComponentState) -> bool:
         """A component has reported its state; whether its values are others than before."""
@@ -31,6 +32,7 @@ class ReportedValues:
         self._unknown[state.instance] = {
             name: "node" if name in state.own_values else "unknown" for name in state.unknown_origin
         }
+        self._set_at[state.instance] = state.set_at
         self._of_instance[state.instance] = after = state.set_values()
         return before != after
 
@@ -41,6 +43,10 @@ class ReportedValues:
     def unknown_of(self, instance: str) -> Mapping[str, Origin]:
         """The parameters of an instance that are not known to have been set by a request, with what is known."""
         return self._unknown.get(instance, {})
+
+    def set_at(self, instance: str) -> Mapping[str, float]:
+        """When a request has set the parameters of an instance (Unix time, s), where that is known."""
+        return self._set_at.get(instance, {})
 
     def unknown_by_role(self, configuration: Configuration) -> dict[str, Mapping[str, Origin]]:
         """The unknown values of the live instance of each role."""
@@ -77,3 +83,4 @@ class ReportedValues:
             name: values for name, values in self._of_instance.items() if name in configuration.instances
         }
         self._unknown = {name: names for name, names in self._unknown.items() if name in configuration.instances}
+        self._set_at = {name: times for name, times in self._set_at.items() if name in configuration.instances}

@@ -12,6 +12,7 @@ from rcl_interfaces import srv as parameter_srv
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.serialization import deserialize_message
 
 from midstride.backends.ros2.component.parameter_services import as_json
 from midstride.foreign.foreign_state import EXPORT_STATE, IMPORT_STATE, STATE
@@ -126,6 +127,11 @@ class RosNodeServices:
         type_, service = _SETTING
         result = (await self._call(type_, service, timeout, request)).result
         return None if result.successful else str(result.reason)
+
+    def settings_in(self, request: bytes) -> dict[str, Any]:
+        # Both kinds of requests have the same field.
+        found = deserialize_message(request, parameter_srv.SetParameters.Request).parameters
+        return {each.name: as_json(parameter_value_to_python(each.value)) for each in found}
 
     async def export_state(self, timeout: float) -> bytes | str:
         request = parameter_srv.GetParameters.Request(names=[STATE])
