@@ -397,11 +397,20 @@ def two_writers(
 
 
 def ended_half_done(
-    instance: str, because: str, goes_on: str | None, seconds: float, found: Sequence[Assessment]
+    instance: str,
+    because: str,
+    goes_on: str | None,
+    seconds: float,
+    found: Sequence[Assessment],
+    values: Sequence[str] = (),
 ) -> str:
-    """An instance was ended without a change that has a report: what that has cost, and what is not known of it."""
+    """An instance was ended without a change that has a report: what that has cost, and what is not known of it.
+
+    ``values``: what has become of those that were set on it, in words.
+    """
     rest = "nothing of its role goes on" if goes_on is None else f"{goes_on} goes on"
     words = [f"stopped {instance}, {because}, within {seconds_in_words(seconds)}; {rest}"]
+    words += values
     lost, unknown = _split(found)
     if lost:
         words.append(f"lost: {_sentences(lost)}")

@@ -4,8 +4,9 @@ managing.py WORKSPACE down: finds the system and ends it.
 managing.py WORKSPACE swap [OP NUMBER before|after]: brings the system up (or finds it again), fails if it is not valid,
 and replaces the component of ``source`` by the other one. The manager is killed with -9 just before it makes the
 NUMBER-th call OP of that change, or just after the NUMBER-th such call was carried out: one that is refused, as a cut
-whose moment has passed, changes nothing, and is made again. OP ``write``: the NUMBER-th durable write. Each call and
-each write is printed, and what the manager has found in the beginning.
+whose moment has passed, changes nothing, and is made again. OP ``write``: the NUMBER-th durable write. OP
+``node_export_state``, ``node_import_state`` or ``node_set_parameters``: the NUMBER-th request to that service of a node
+without the API. Each call and each write is printed, and what the manager has found in the beginning.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ import signal
 import sqlite3
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from midstride import backends
+from midstride.backends.ros2.manager.node_services import RosNodeServices
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
@@ -34,6 +36,8 @@ from midstride.wire.commands import Command
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 from tests.acceptance.support import BENCHMARKS, swap_specification
 
+T = TypeVar("T")
+
 # In the environment: a change that was interrupted is finished, not rolled back.
 FINISH = "MIDSTRIDE_TEST_FINISH"
 
@@ -43,18 +47,27 @@ def killed_at(manager: Manager, op: str, number: int, when: str) -> None:
     client = manager._client
     send, made, done = client._send, Counter[str](), Counter[str]()
 
-    async def counted(instance: str, command: Command[Any], revision: int | None) -> Any:
-        made[command.name] += 1
-        print("call", command.name, flush=True)
-        if (command.name, made[command.name], "before") == (op, number, when):
+    async def counted(name: str, call: Awaitable[T]) -> T:
+        made[name] += 1
+        print("call", name, flush=True)
+        if (name, made[name], "before") == (op, number, when):
             os.kill(os.getpid(), signal.SIGKILL)
-        result = await send(instance, command, revision)
-        done[command.name] += 1
-        if (command.name, done[command.name], "after") == (op, number, when):
+        result = await call
+        done[name] += 1
+        if (name, done[name], "after") == (op, number, when):
             os.kill(os.getpid(), signal.SIGKILL)
         return result
 
-    client._send = counted  # type: ignore[method-assign]
+    async def counted_command(instance: str, command: Command[Any], revision: int | None) -> Any:
+        return await counted(command.name, send(instance, command, revision))
+
+    def counted_request(name: str) -> Callable[..., Awaitable[Any]]:
+        ask = getattr(RosNodeServices, name)
+        return lambda *arguments: counted(f"node_{name}", ask(*arguments))
+
+    client._send = counted_command  # type: ignore[method-assign]
+    for name in ("export_state", "import_state", "set_parameters"):
+        setattr(RosNodeServices, name, counted_request(name))
 
 
 @dataclass

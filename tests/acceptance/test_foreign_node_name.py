@@ -57,6 +57,17 @@ except (KeyboardInterrupt, ExternalShutdownException):
 """
 
 
+# Where a manager is killed: as the new node has taken over or is about to, and as it is given the values.
+POINTS = [
+    ("answer", "before"),
+    ("answer", "after"),
+    ("cut_in", "after"),
+    *((op, when) for op in ("cut_out", "set") for when in ("before", "after")),
+    ("observe", "after"),
+    ("detach", "after"),
+]
+
+
 def kept_across(folder: Path, number: int) -> None:
     (folder / "mapper.py").write_text(MAPPER, encoding="utf-8")
     text = "system mapping\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
@@ -107,7 +118,7 @@ def test_one_client_sets_the_parameters_of_a_node_across_many_replacements(tmp_p
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
+@pytest.mark.timeout(500)
 def test_the_next_manager_finds_which_of_two_nodes_of_a_name_is_which(tmp_path: Path) -> None:
     """A manager is killed at the change-over, while both run; the next one addresses the node of each instance."""
     (tmp_path / "source.py").write_text(MAPPER, encoding="utf-8")
@@ -129,7 +140,7 @@ def test_the_next_manager_finds_which_of_two_nodes_of_a_name_is_which(tmp_path: 
         manager = manager_of_it()
         await manager.up()
         with Bare("tool") as bare:
-            for value, point in enumerate((("answer", "before"), ("answer", "after"), ("cut_in", "after")), start=1):
+            for value, point in enumerate(POINTS, start=1):
                 await manager.close()
                 await asyncio.to_thread(kill_the_manager, system, point[0], "1", point[1])
                 # One of the two answers; which instance that is, the next manager finds.
@@ -147,7 +158,7 @@ def test_the_next_manager_finds_which_of_two_nodes_of_a_name_is_which(tmp_path: 
         await manager.close()
 
     with ended():
-        run(scenario(), 280)
+        run(scenario(), 480)
 
 
 def test_a_lifecycle_node_without_gates_keeps_its_name_and_hands_its_requests_over(tmp_path: Path) -> None:

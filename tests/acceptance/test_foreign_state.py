@@ -7,17 +7,22 @@ from __future__ import annotations
 
 import asyncio
 import os
+import sys
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from midstride import backends
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
 from tests.acceptance.foreign_support import Robot, declared_talker, robot
 from tests.acceptance.support import ended
-from tests.backends.ros2_support import run
+from tests.acceptance.test_manager_killed import kill_the_manager
+from tests.backends.ros2_support import Bare, run
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
@@ -187,6 +192,63 @@ def test_a_server_keeps_its_state_where_no_topic_is_handed_over(tmp_path: Path, 
 
     with ended():
         run(scenario(), 3600)
+
+
+# Where a manager is killed: around each step of a transfer.
+POINTS = [
+    (op, when)
+    for op in ("prepare_state", "node_export_state", "node_import_state", "cut_in", "await_cut", "answer", "detach")
+    for when in ("before", "after")
+]
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_manager_that_is_killed_while_state_moves_leaves_one_node_with_all_of_it(tmp_path: Path) -> None:
+    """One of the two answers each request, with what it knows of all those before; the next manager keeps it."""
+    (tmp_path / "counter.py").write_text(COUNTER, encoding="utf-8")
+    text = "system killed\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
+    for name in ("Source", "OtherSource"):
+        text += declared_talker(name, f"{sys.executable} {tmp_path / 'counter.py'}", "preload")
+    (tmp_path / "killed.stride").write_text(f"{text}node source : Source {{ out -> /chat }}\n", encoding="utf-8")
+    specification, system = load(tmp_path / "killed.stride").require(), tmp_path / "system"
+    system.mkdir()
+
+    def manager_of_it() -> Manager:
+        workspace = Workspace(system)
+        return Manager(specification, backends.make("ros2", workspace), workspace, tmp_path)
+
+    async def scenario() -> None:
+        from rcl_interfaces.srv import ListParameters
+
+        manager, handled = manager_of_it(), 0
+        await manager.up()
+        with Bare("client") as bare:
+            client: Any = bare.node.create_client(ListParameters, "/handle")
+            await bare.until(client.service_is_ready, 60)
+
+            async def answered(point: object) -> None:
+                nonlocal handled
+                future = client.call_async(ListParameters.Request())  # once: a request is never lost
+                await bare.until(future.done, 60)
+                assert future.result().result.names == [str(handled + 1)], f"{point}, after {handled}"
+                handled += 1
+
+            for point in POINTS:
+                await answered(point)
+                await manager.close()
+                await asyncio.to_thread(kill_the_manager, system, point[0], "1", point[1])
+                await answered(f"killed {point}")
+                manager = manager_of_it()
+                await manager.up()
+                await answered(f"after killed {point}")
+                assert (await manager.status()).valid
+                assert len(manager.configuration.instances) == 1
+        await manager.down()
+        await manager.close()
+
+    with ended():
+        run(scenario(), 580)
 
 
 @pytest.mark.long

@@ -16,8 +16,17 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Node, Specification
 from midstride.runtime.backend_protocol import Handle, RemainingProcess
 from midstride.runtime.records.state_store import SavedInstance
+from midstride.runtime.restore.half_done import HalfDone
+from midstride.runtime.restore.half_done_values import HalfDoneValues
 from midstride.runtime.restore.recovery import recover
-from midstride.wire.commands import AnswerCommand, GateCommand, ObserveCommand, RecordCommand, ResolveCutsCommand
+from midstride.wire.commands import (
+    AnswerCommand,
+    GateCommand,
+    ObserveCommand,
+    RecordCommand,
+    ResolveCutsCommand,
+    SetParametersCommand,
+)
 from midstride.wire.state import LinkState
 from tests.model import build
 from tests.model.build import work
@@ -45,7 +54,8 @@ async def recovered(b: Bench, *saved: Instance, targets: Sequence[Specification]
     for name in b.client.life.handles:  # this manager does not know yet that another one has started them
         b.client.life.adopted(name, None)
     entries: Sequence[SavedInstance] = [entry(instance) for instance in known]
-    return await recover(entries, SPECIFICATION, b.launcher, b.client, b.events, targets)
+    values = HalfDoneValues(b.client, b.system.values, {}, SPECIFICATION)
+    return await recover(entries, SPECIFICATION, HalfDone(b.launcher, b.client, b.events, values), targets)
 
 
 def test_what_still_runs_is_in_the_model_as_it_reports_it(tmp_path: Path) -> None:
@@ -158,7 +168,8 @@ def test_of_two_instances_of_a_role_the_one_behind_its_gate_is_ended(
     bench(TWICE, tmp_path, body)
 
 
-def test_what_the_end_of_a_half_done_instance_has_cost_is_said(tmp_path: Path) -> None:
+@pytest.mark.parametrize("refuses", [False, True])
+def test_what_the_end_of_a_half_done_instance_has_cost_is_said(refuses: bool, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         found = b.configuration.instances
         b.client.report(reported(found["talker"], b.configuration, parameters={"gain": 1.0, "unit": "m"}))
@@ -169,13 +180,22 @@ def test_what_the_end_of_a_half_done_instance_has_cost_is_said(tmp_path: Path) -
         b.launcher.on_killed = lambda name, seconds, words: b.events.add(
             "killed", words, instance=name, seconds=seconds
         )
+        if refuses:
+            b.client.reply("talker", SetParametersCommand, REFUSED)
         assert await recovered(b) == b.configuration.without_instance("talker_2")
         (words,) = b.words("half_done")
         (killed,) = b.words("killed")
         assert words.startswith(
             "stopped talker_2, which an earlier manager had left half done, within 0 ms; talker goes on; "
         )
-        assert "; lost: what was set on talker_2 while it ran: gain = 50.0; not measurable here: " in words
+        late = "too late, after the hand-over: gain = 50.0, set at run time: the component refused it"
+        fate = late if refuses else "kept if the program of Talker declares it"
+        assert f"; talker: gain = 50.0, set at run time: {fate}; talker: unit = 'm', set at run time: kept" in words
+        sent = [
+            (each.instance, each.command) for each in b.client.sent if isinstance(each.command, SetParametersCommand)
+        ]
+        assert sent == [("talker", SetParametersCommand(parameters={"gain": 50.0}, declared={}))]
+        assert "; not measurable here: " in words
         assert "which instance wrote on /chatter: both talker_2 and talker could until the one was ended; " in words
         assert "what has changed in the state of talker_2: talker has its own; " in words
         assert words.endswith(f"{killed}: what it does at its end is lost")

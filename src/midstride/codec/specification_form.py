@@ -327,7 +327,7 @@ class ChangeRequirementForm(Form, frozen=True):
 
 
 class TimingForm(Form, frozen=True):
-    """How long steps take, where known, and for how long a hand-over tries and watches a new publisher."""
+    """How long steps take, where known, and what a hand-over takes its time for."""
 
     what: ClassVar[str] = "the timing of steps"
 
@@ -340,6 +340,7 @@ class TimingForm(Form, frozen=True):
     probation_timeout: SecondsOrZero | UnsetType = UNSET
     remove: SecondsOrZero | UnsetType = UNSET
     set: SecondsOrZero | UnsetType = UNSET
+    state_timeout: PositiveSeconds | UnsetType = UNSET
     upgrade: SecondsOrZero | UnsetType = UNSET
     watch_after: SecondsOrZero | UnsetType = UNSET
 

@@ -83,6 +83,7 @@ MODEL: Final = (
         TALKING.replace("talk {", "talk weight -1 {"),
         TALKING.replace("  output", "  holds memory -1\n  output") + "resource memory = 4\n",
         TALKING + "timing { create -1 s }\n",
+        TALKING + "timing { state_timeout 0 s }\n",
         "system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 0 s)\n",
         _component("  input a : std_msgs/msg/String tolerates 3 missed\n"),
         _component("  input a : std_msgs/msg/String condition\n"),

@@ -41,8 +41,9 @@ DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
         "set": 0.01,
     }
 )
-# What a hand-over takes its time for (s), where the file does not say (docs/protocols/probation.md).
-HANDOVER_SECONDS: Final[Mapping[str, float]] = Map({"probation_timeout": 5.0, "watch_after": 0.0})
+# What a hand-over takes its time for (s), where the file does not say (docs/protocols/probation.md). State that moves
+# has ``state_timeout``: the topic is silent meanwhile, and requests wait (docs/protocols/state.md).
+HANDOVER_SECONDS: Final[Mapping[str, float]] = Map({"probation_timeout": 5.0, "watch_after": 0.0, "state_timeout": 2.0})
 TIMING: Final = (*DEFAULT_SECONDS, "probation", *HANDOVER_SECONDS)
 # An output with a rate is judged over so many of its periods, within bounds (s), where the file states no probation;
 # and over no less than so many in any case.

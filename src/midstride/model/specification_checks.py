@@ -106,7 +106,8 @@ def _context_problems(specification: Specification) -> Iterator[Problem]:
     for name, resource in specification.resources.items():
         yield from number_problems(resource.capacity, f"the capacity of {name}", ("resources", name, "capacity"))
     for kind, seconds in specification.timing.items():
-        yield from number_problems(seconds, f"the duration of a step `{kind}`", ("timing_seconds", kind), zero=True)
+        what, zero = f"the duration of a step `{kind}`", kind != "state_timeout"
+        yield from number_problems(seconds, what if zero else f"`{kind}`", ("timing_seconds", kind), zero=zero)
 
 
 def _too_many_publishers(specification: Specification) -> Iterator[Problem]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from dataclasses import replace
 
 from midstride.model.action import Action, Create, Handover, Remove
+from midstride.model.specification import handover_seconds
 from midstride.plan.change import Change
+from midstride.plan.plan import Plan
 
 
 def without_outputs(change: Change) -> dict[str, str]:
@@ -34,3 +37,23 @@ def left_behind(change: Change, actions: Iterable[Action]) -> dict[str, str]:
         for new, old in beside.items()
         if new not in handed and new not in receiving
     }
+
+
+def with_time_for_state(plan: Plan, keeping: Collection[str]) -> Plan:
+    """``plan`` with the longest time of each hand-over at which state moves, of one of the instances ``keeping``."""
+    change, steps = plan.change, list(plan.steps)
+    longest = handover_seconds(change.target.timing, "state_timeout")
+    for index, step in enumerate(steps):
+        if not isinstance(step.action, Handover):
+            continue
+        pairs = {(swap.old.instance, swap.new.instance) for swap in step.action.swaps}
+        if any(change.replaced.get(old) == new and old in keeping and _moves(change, old, new) for old, new in pairs):
+            found = change.estimate_of(step.action)
+            steps[index] = replace(step, between=found.at_most(found.longest + longest).between)
+    return replace(plan, steps=tuple(steps))
+
+
+def _moves(change: Change, old: str, new: str) -> bool:
+    """Whether state can move between the two at a cut: they are of one kind, and no relay answers for one of them."""
+    gates = [change.component_of(name).gate for name in (old, new)]
+    return gates == [None, None] or all(gate is not None and gate not in ("relay", "none") for gate in gates)

@@ -10,6 +10,7 @@ from midstride.model.specification import Specification
 from midstride.plan.request import require
 from midstride.runtime.backend_protocol import Exited, OtherNodes
 from midstride.runtime.instance_life import LifeTable, ProcessEvent
+from midstride.runtime.records.state_store import LeftState
 from midstride.runtime.watch.reported_values import ReportedValues
 
 
@@ -19,6 +20,7 @@ class RunningSystem:
 
     ``life`` knows what became of each instance. ``values``: the parameter values that were set at run time.
     ``other_nodes``: by instance, the nodes that its end would end as well, as they were when last asked for.
+    ``exported``: by role, the state of an instance that a change has removed before its successor was there.
     ``file`` was brought up or applied last, and ``changed_since``: another command has changed the specification then.
     """
 
@@ -30,6 +32,7 @@ class RunningSystem:
     revision: int = 0
     values: ReportedValues = field(default_factory=ReportedValues)
     other_nodes: dict[str, OtherNodes] = field(default_factory=dict)
+    exported: dict[str, LeftState] = field(default_factory=dict)
 
     def has_instance(self, role: str) -> bool:
         """Whether an instance has that role: it answers requests until its successor is to."""

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import MidstrideError
+from midstride.model.specification import HANDOVER_SECONDS
 from midstride.node.control.component_agent import HEARTBEAT
 from midstride.plan.forms.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.plan.request import PlanRequest
-from midstride.runtime.handover.state_transfers import STATE_TIMEOUT
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Event
 from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
@@ -291,7 +291,8 @@ class Simulation:
         hung = [each for each in self._struck if each.fault == "hang"]
         of_others = sum(each.seconds for each in hung if each.where not in self._leaving)
         # Once the cut is agreed, the old side has to give its state within that time-out.
-        in_cut = any(each.step == "handover" and each.op != "cut_out" and each.seconds > STATE_TIMEOUT for each in hung)
+        longest = HANDOVER_SECONDS["state_timeout"]
+        in_cut = any(each.step == "handover" and each.op != "cut_out" and each.seconds > longest for each in hung)
         return not in_cut and (
             all(each.fault in HARMLESS for each in self._struck)
             and sum(each.seconds for each in hung) <= AWAITED

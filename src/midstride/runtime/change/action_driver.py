@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
@@ -51,13 +51,20 @@ from midstride.runtime.handover.probation import (
     watch_servers_after,
 )
 from midstride.runtime.handover.state_moves import StateMoves
-from midstride.runtime.handover.state_transfers import STATE_TIMEOUT, StateTransfers, keeps_state, own_state
+from midstride.runtime.handover.state_transfers import (
+    StateTransfers,
+    has_left_state,
+    import_state,
+    keeps_state,
+    own_state,
+)
 from midstride.runtime.instance_life import ProcessEvent
 from midstride.runtime.process.answering_instance import have_answer
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import StateMove
+from midstride.runtime.records.state_store import LeftState
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.observed_configuration import own_degradations_in
 from midstride.runtime.watch.simulated_time import stretch_of
@@ -81,6 +88,7 @@ class ActionDriver:
     not fail the action. ``last_numbers`` holds the number of the last message of each output that was detached, and
     ``first_numbers`` that of the first message of each that took over at an agreed moment. States of replacements that
     hand over no output move as well. ``moved``: by new node without Midstride's API, the state that has moved to it.
+    ``save`` is called with each role whose exported state is to be kept for the next manager, or, with None, no longer.
     """
 
     client: ComponentClient
@@ -89,6 +97,7 @@ class ActionDriver:
     system: RunningSystem
     events: EventLog
     change: RunningChange
+    save: Callable[[str, LeftState | None], object] = lambda role, state: None
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     first_numbers: dict[PortRef, int] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
@@ -104,7 +113,7 @@ class ActionDriver:
     _inputs_ready: float = -math.inf  # when those are that were attached (steady s)
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _crashed: dict[str, str] = field(default_factory=dict)  # by role: what kept state, and has exited before
-    _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
+    _left: frozenset[str] = frozenset()  # the roles of which an earlier manager has left exported state
 
     def __post_init__(self) -> None:
         change = self.change.plan.change
@@ -113,6 +122,7 @@ class ActionDriver:
         self.modes = ModeChanges(self.client, self.system)
         self.settings = ParameterSettings(self.client, self.system, self.events, self.change)
         self._moves = StateMoves(self.client, self._move_state, self._keeps_own_state, without_outputs(change))
+        self._left = frozenset(self.system.exported)
         self._keeping = {name for name in change.replaced if keeps_state(self.client, name)}
         for name in self.system.life.missing:
             if (role := self.system.role_of_missing(name)) is not None and keeps_state(self.client, name):
@@ -124,6 +134,11 @@ class ActionDriver:
     @property
     def rolling_back(self) -> bool:
         return self.change.phase is ChangePhase.ROLLING_BACK
+
+    @property
+    def _state_timeout(self) -> float:
+        """How long state may take to move, to be exported or to be imported (s)."""
+        return handover_seconds(self.change.target.timing, "state_timeout")
 
     @property
     def configuration(self) -> Configuration:
@@ -234,8 +249,8 @@ class ActionDriver:
                 if not standby:  # it does already, unless it was started by hand and replaced once
                     await have_answer(self.client, instance.name)
                 await self.change.parameters.started(instance)
-                if (state := self._exported.get(instance.role)) is not None:
-                    await self._import_state(instance.name, state)
+                if (left := self.system.exported.get(instance.role)) is not None:
+                    await self._import_state(instance, left)
                 elif not self.rolling_back:
                     self._lost_in_crash(instance)
             case Degrade() | Upgrade():
@@ -324,15 +339,21 @@ class ActionDriver:
         # In a roll-back, this change created it, and the instance that returns has its own state.
         moved = self.change.plan.change.replaced.get(action.instance) in self.moved
         if not self.rolling_back and not fenced and not moved:
-            export = commands.ExportStateCommand(timeout=budget.timeout(action.instance, STATE_TIMEOUT))
+            longest = budget.timeout(action.instance, self._state_timeout)
+            export = commands.ExportStateCommand(timeout=longest)
             try:
                 exported = await self.client.read(action.instance, export)
                 if exported.state is not None:
-                    self._exported[instance.role] = exported.state
+                    latest = self.system.life.latest(action.instance)
+                    left = LeftState("" if latest is None else latest.state.uuid, exported.state)
+                    self.system.exported[instance.role] = left
+                    self.save(instance.role, left)
                 elif exported.lost is not None:
                     self._state_lost(action.instance, exported.lost)
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
                 self._state_lost(action.instance, str(error))
+        elif self.rolling_back and (kept := self.system.exported.get(instance.role)) is not None:
+            self.save(instance.role, kept)
         await self.change.parameters.leaving(action.instance, self.configuration)
         if instance.component.run is None:
             try:
@@ -374,13 +395,22 @@ class ActionDriver:
                 except MidstrideError as error:
                     self.events.add("note", f"{other.name} does not answer requests to {role}: {error}")
 
-    async def _import_state(self, instance: str, state: bytes) -> None:
-        try:
-            await self.client.change(instance, commands.ImportStateCommand(state=state))
-        except MidstrideError as error:
-            if not self.rolling_back:
-                raise
-            self.events.add("note", f"{instance} did not restore its state: {error}")
+    async def _import_state(self, instance: Instance, left: LeftState) -> None:
+        lenient = self.rolling_back or instance.role in self._left
+        found = await import_state(self.client, instance, left, self._state_timeout, lenient=lenient)
+        if found is not None:
+            self.events.add("note", found)
+        elif instance.role in self._left:
+            self.events.add("note", has_left_state(instance))
+        self.save(instance.role, None)
+
+    def forget_exported(self) -> None:
+        """The change has ended: forget the state that was exported. What an earlier manager left waits for its role."""
+        for role in list(self.system.exported):
+            waits = role in self._left and role in self.system.specification.nodes
+            if not waits or self.system.has_instance(role):
+                del self.system.exported[role]
+                self.save(role, None)
 
     async def _attach(self, action: Attach) -> None:
         port, topic, configuration = action.port, self.configuration.topic(action.connector), self.configuration
@@ -453,7 +483,13 @@ class ActionDriver:
         """Hand over what is swapped, and the state of ``replaced``, pairs of old and new."""
         self._keeping.update(old for old, _ in replaced if keeps_state(self.client, old))
         states = StateTransfers(
-            self.client, self.events, replaced, not self.rolling_back, keeping=self._keeping, own_state=self.own_state
+            self.client,
+            self.events,
+            replaced,
+            not self.rolling_back,
+            self._state_timeout,
+            keeping=self._keeping,
+            own_state=self.own_state,
         )
         handover = LiveHandover(
             self.client,

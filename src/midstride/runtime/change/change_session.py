@@ -31,8 +31,9 @@ from midstride.plan.goals_in_progress import with_time_for_goals
 from midstride.plan.overlap import overlap
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
-from midstride.plan.runtime_values import Origin, Values, of_change
+from midstride.plan.runtime_values import Origin, Values, of_change, with_times
 from midstride.plan.sensitivity import sensitivity
+from midstride.plan.state_continuity import with_time_for_state
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
 from midstride.plan.strategies.settings import set_parameters
@@ -156,8 +157,12 @@ class ChangeSession:
         )
         in_turn = answered_in_turn(plan, system.life.latest_states)
         remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks)
-        plan = with_time_for_goals(plan, with_goals(system.life.latest_states))
-        return replace(plan, remarks=remarks, besides=besides), target
+        states = system.life.latest_states
+        plan = with_time_for_goals(plan, with_goals(states))
+        plan = with_time_for_state(plan, {name for name, latest in states.items() if latest.state.keeps_state})
+        live = system.configuration.instances_by_role
+        times = with_times(plan.parameters, lambda role: system.values.set_at(next(iter(live.get(role, ())), "")))
+        return replace(plan, remarks=remarks, besides=besides, parameters=times), target
 
     async def _said(self, roles: Iterable[str]) -> dict[str, Values]:
         """The parameters of the instances of ``roles``, by instance, as their nodes say them now.
@@ -262,7 +267,8 @@ class ChangeSession:
         entry = await self.journal.begin(new, required=required)
         hurried = self.commands.another_waits if brief else None
         recording = Recording(self.client, self.clock, hurried, self._measured_until)
-        transfer = ParameterTransfer(self.client, system.values, plan.change, plan.parameters, keep)
+        carried = self.store.write_carried
+        transfer = ParameterTransfer(self.client, system.values, plan.change, plan.parameters, keep, carried)
         missing = system.life.missing
         change = RunningChange(
             plan,
@@ -347,7 +353,9 @@ class ChangeSession:
         states = system.life.latest_states
         self.launcher.ended_with.clear()
         self.launcher.last_known.clear()
-        driver = ActionDriver(self.client, self.launcher, self.backend, system, self.events, change)
+        driver = ActionDriver(
+            self.client, self.launcher, self.backend, system, self.events, change, self.store.write_exported
+        )
         execution = await self._execute(driver)
         fenced = system.life.fenced
         exited = {name for name in system.life.exits if name in change.before.instances and name not in fenced}
@@ -446,6 +454,8 @@ class ChangeSession:
             await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
+        self.store.write_carried({})
+        driver.forget_exported()
         ended = self.clock.steady()
         return _Execution(ended, round(ended - started, 6), timer.stop(), executor.times)
 

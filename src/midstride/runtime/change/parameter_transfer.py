@@ -1,12 +1,13 @@
 """Carries the parameter values that were set at run time from an instance to the one that replaces it.
 
 A new instance is started with them, and its own callbacks must then accept them. The two are compared again right
-before the cut and when the old one ends: any ROS tool may set a parameter meanwhile (docs/protocols/state.md).
+before the cut and when the old one ends: any ROS tool may set a parameter meanwhile (docs/protocols/state.md). The next
+manager does the latter where one dies in between (docs/protocols/recovery.md).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -18,7 +19,16 @@ from midstride.errors import CommandRefused, MidstrideError, PlanRefused, StepFa
 from midstride.model.component import ROS_PARAMETERS, ParameterValue, same_value
 from midstride.model.configuration import Configuration, Instance
 from midstride.plan.change import Change
-from midstride.plan.runtime_values import Origin, RuntimeValue, Values, decide, left_behind, runtime_value, setting
+from midstride.plan.runtime_values import (
+    Origin,
+    RuntimeValue,
+    Values,
+    decide,
+    left_behind,
+    runtime_value,
+    setting,
+    with_times,
+)
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.reported_values import ReportedValues
 from midstride.verdicts import seconds_in_words
@@ -36,24 +46,30 @@ def unread_parameters(instance: Instance, state: ComponentState | None) -> str |
 
 
 _NONE: Final[Mapping[str, Origin]] = Map()
+_NO_VALUES: Final[Values] = Map()
 # What a change reports of values also where it was rolled back.
 _OF_A_ROLLED_BACK_CHANGE: Final = ("late", "set_back", "not_set", "not_set_back")
 
 
 @dataclass
 class ParameterTransfer:
-    """For one change. ``planned``: what the plan says becomes of each value; without ``keep``, none travels."""
+    """For one change. ``planned``: what the plan says becomes of each value; without ``keep``, none travels.
+
+    ``carried``: by instance, the values when they were last carried over; ``save`` is called with these when they have
+    changed, for the next manager.
+    """
 
     client: ComponentClient
     reported: ReportedValues
     change: Change
     planned: tuple[RuntimeValue, ...]
     keep: bool
+    save: Callable[[Mapping[str, Values]], object] = lambda carried: None
+    carried: dict[str, Values] = field(default_factory=dict)
     # By new instance, that it is not known what was set on the one that it replaces.
     unknown: dict[str, str] = field(init=False)
     _found: dict[tuple[str, str], RuntimeValue] = field(default_factory=dict)
-    # By instance: the values when they were last carried over, and those that it was started with.
-    _carried: dict[str, Values] = field(default_factory=dict)
+    # By instance: the values that it was started with.
     _given: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -77,7 +93,12 @@ class ParameterTransfer:
         return found if done else [value for value in found if value.fate in _OF_A_ROLLED_BACK_CHANGE]
 
     def _record(self, *values: RuntimeValue) -> None:
-        self._found |= {(value.node, value.parameter): value for value in values}
+        self._found |= {(value.node, value.parameter): value for value in with_times(values, self._set_at)}
+
+    def _set_at(self, role: str) -> Mapping[str, float]:
+        """When requests have set the parameters of the instance of ``role`` that is replaced."""
+        replaced = (old for old in self.change.replaced if self.change.instance(old).role == role)
+        return next((self.reported.set_at(old) for old in replaced), {})
 
     # -- a new instance ----------------------------------------------------------------------------
 
@@ -98,7 +119,7 @@ class ParameterTransfer:
         values = self.reported.saved.get(instance.role, {}) if old is None else self.reported.of(old)
         unknown = self._unknown(instance, values)
         if old is not None:
-            self._carried[old] = values
+            self._note_carried(old)
         self._given[instance.name] = given = self._kept(instance, values, unknown)
         # rcl reads an empty list in a parameter file as no value: it is set once the instance has started.
         return {name: value for name, value in given.items() if value not in ([], ())}
@@ -135,7 +156,12 @@ class ParameterTransfer:
                 await self._set(instance, name, value, unknown)
         if old is not None:
             await self._compare(old, instance)
-        self._carried[instance.name] = self.reported.of(instance.name)
+        self._note_carried(instance.name)
+
+    def _note_carried(self, *instances: str) -> None:
+        """What these instances have now has been carried over."""
+        self.carried |= {name: self.reported.of(name) for name in instances}
+        self.save(self.carried)
 
     async def _observe(self, instance: str) -> None:
         """Request the values of an instance that answers; of any other, those that it last reported count."""
@@ -219,22 +245,39 @@ class ParameterTransfer:
         if partner in configuration.instances and self.client.life.responsive(str(partner)) is not None:
             await self._compare(name, configuration.instances[str(partner)], late=True)
 
-    async def _compare(self, old: str, new: Instance, late: bool = False) -> None:
-        before, now = self._carried.get(old), self.reported.of(old)
-        if before is None or before == now:
-            return
-        self._carried[old] = now
-        changed = {
+    def set_since(self, instance: str) -> dict[str, ParameterValue | None]:
+        """What has been set on ``instance`` since values were last carried over: None for what was set back."""
+        before, now = self.carried.get(instance, _NO_VALUES), self.reported.of(instance)
+        changed: dict[str, ParameterValue | None] = {
             name: value for name, value in now.items() if name not in before or not same_value(before[name], value)
         }
-        back = before.keys() - now.keys()  # set back to the declared value: so is the new one's
-        for name in (*changed, *back):
+        return changed | dict.fromkeys(before.keys() - now.keys())
+
+    async def _compare(self, old: str, new: Instance, late: bool = False) -> None:
+        """Set on ``new`` what has been set on ``old`` since.
+
+        ``late``: ``new`` has taken over, so that what has been set on it since was set later.
+        """
+        if old not in self.carried or not (found := self.set_since(old)):
+            return
+        self.carried[old] = self.reported.of(old)
+        state = await self.client.peek(new.name)
+        if late and new.name in self.carried:
+            self.reported.report(state)
+            found = {name: value for name, value in found.items() if name not in self.set_since(new.name)}
+        changed = {name: value for name, value in found.items() if value is not None}
+        back = found.keys() - changed.keys()  # set back to the declared value: so is the new one's
+        for name in found:
             self._found.pop((new.role, name), None)
         unknown = self.reported.unknown_of(old)
-        values = changed if self._returns(new) else self._kept(new, changed, unknown)
-        state = await self.client.peek(new.name)
+        if self._returns(new):  # what the one that was to replace it has set itself is for that one
+            values = {name: value for name, value in changed.items() if unknown.get(name) != "node"}
+        else:
+            values = self._kept(new, changed, unknown)
         values |= {name: from_json(state.declared[name]) for name in back if name in state.declared}
         for name, value in values.items():
+            if late and name in state.parameters and same_value(from_json(state.parameters[name]), value):
+                continue
             try:
                 await self._set(new, name, value, unknown)
             except MidstrideError as error:
@@ -243,4 +286,4 @@ class ParameterTransfer:
                 words = f"too late, after the hand-over: {error}"
                 origin = unknown.get(name, "set")
                 self._record(runtime_value(new.role, name, value, "late", words, origin))
-        self._carried[new.name] = self.reported.of(new.name)
+        self._note_carried(old, new.name)

@@ -8,8 +8,8 @@ from typing import Final
 from midstride import verdicts
 from midstride.model.action import Create, Handover, Remove
 from midstride.model.configuration import Configuration
+from midstride.model.specification import handover_seconds
 from midstride.plan.plan import Plan
-from midstride.runtime.handover.state_transfers import STATE_TIMEOUT
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.records.reports import Outcome
 
@@ -53,7 +53,8 @@ def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator
         elif old not in removed_first:
             own = {connectors[swap.connector] for swap in swaps if swap.old.instance == old}
             topics = sorted(each.topic for each in own if each.kind == "topic")
-            yield verdicts.silent_for_state(old, new, topics, STATE_TIMEOUT)
+            longest = handover_seconds(change.target.timing, "state_timeout")
+            yield verdicts.silent_for_state(old, new, topics, longest)
 
 
 def states_behind_relays(plan: Plan) -> Iterator[verdicts.Assessment]:

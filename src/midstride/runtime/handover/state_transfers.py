@@ -13,17 +13,18 @@ from typing import Final
 from msgspec import structs
 
 from midstride.errors import MidstrideError
+from midstride.model.configuration import Instance
+from midstride.model.specification import HANDOVER_SECONDS
 from midstride.model.wording import counted
 from midstride.runtime.handover.agreed_cut import Cut
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import StateMove
+from midstride.runtime.records.state_store import LeftState
 from midstride.verdicts import seconds_in_words
-from midstride.wire.commands import PrepareStateCommand, StateTransfer
+from midstride.wire.commands import ImportStateCommand, PrepareStateCommand, StateTransfer
 from midstride.wire.replies import CutResult, MovedState
 
-# How long state may take to move at a cut (s): the topic is silent meanwhile.
-STATE_TIMEOUT: Final = 2.0
 # How long a new side may wait at a cut until the old one, a relay, has passed on what was published before (s).
 ORDER_TIMEOUT: Final = 1.0
 # How long the bulk of a state, which moves while the old component works, may take (s).
@@ -44,6 +45,27 @@ def own_state(old: str, new: str, because: str, bulk: float | None = None) -> st
     return f"{new} continues with its own state ({because}); lost is {lacking}"
 
 
+async def import_state(
+    client: ComponentClient, instance: Instance, left: LeftState, timeout: float, *, lenient: bool
+) -> str | None:
+    """Have an instance import what one before it has exported, in ``timeout`` (s).
+
+    That it could not, in words, where that is no failure (``lenient``). Else raises MidstrideError.
+    """
+    try:
+        await client.change(instance.name, ImportStateCommand(state=left.state, timeout=timeout))
+    except MidstrideError as error:
+        if not lenient:
+            raise
+        return f"{instance.name} did not restore its state: {error}"
+    return None
+
+
+def has_left_state(instance: Instance) -> str:
+    """That an instance has imported what the last manager had left."""
+    return f"{instance.name} has the state of {instance.role}, which was exported before the last manager ended"
+
+
 def moved_in_words(old: str, new: str, state: MovedState) -> str:
     """What moved from ``old`` to ``new``, nodes without Midstride's API, and what waited for it."""
     silent = "" if state.silent is None else f"nothing was published for {seconds_in_words(state.silent)}, and "
@@ -60,13 +82,14 @@ class StateTransfers:
     """The transfers of one hand-over, for ``pairs`` of old and new components.
 
     If a transfer fails, so does the hand-over, unless state is not ``required``: then the new one continues with its
-    own.
+    own. ``timeout``: how long state may take to move at a cut (s); the topic is silent meanwhile.
     """
 
     client: ComponentClient
     events: EventLog
     pairs: Collection[tuple[str, str]] = ()
     required: bool = True
+    timeout: float = HANDOVER_SECONDS["state_timeout"]
     # How state moves at the cuts of a pair; and by how much the first slot of a new component was late (s).
     agreed: dict[tuple[str, str], StateTransfer] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
@@ -103,7 +126,7 @@ class StateTransfers:
                 at=0,
                 changes=changes,
                 required=self.required and not order_only,
-                timeout=ORDER_TIMEOUT if order_only else STATE_TIMEOUT,
+                timeout=ORDER_TIMEOUT if order_only else self.timeout,
                 new=new,
                 address=self.client.address(new),
                 order_only=order_only,

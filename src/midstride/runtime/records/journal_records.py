@@ -76,7 +76,7 @@ class Interrupted:
     """A change that an earlier manager began, and did not end.
 
     ``step`` is the number of the last step that was begun, ``since`` that of the first which had not ended.
-    ``created``: the instances that it was to create, where it left the specification as it was, such as a restart.
+    ``created``: the instances that it was to create. ``same``: it left the specification as it was, such as a restart.
     ``settings``: the values before of the parameters that it was to set at run time, by instance.
     """
 
@@ -87,13 +87,14 @@ class Interrupted:
     step: int | None
     since: int | None
     created: frozenset[str] = frozenset()
+    same: bool = False
     settings: tuple[tuple[str, Values], ...] = ()
 
     def finished(self, specification: Specification, instances: Container[str]) -> bool:
         """Return whether it has been finished, where ``specification`` and ``instances`` run now."""
         if self.settings:  # it was watched to its end, or is rolled back
             return False
-        return specification == self.target and all(name in instances for name in self.created)
+        return specification == self.target and (not self.same or all(name in instances for name in self.created))
 
     def __str__(self) -> str:
         if self.step is None:
@@ -179,7 +180,8 @@ def interrupted(database: Database) -> list[Interrupted]:
             decode_saved_specification(msgspec.json.decode(form)),
             step,
             since,
-            _created(plan) if same else frozenset(),
+            _created(plan),
+            bool(same),
             _settings(plan),
         )
         for number, command, steps, form, step, since, same, plan in database.read(query)

@@ -51,6 +51,10 @@ CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL,
 _REST: Final = "rest"
 # Before the name of a role, for its parameter values that were set at run time.
 _VALUES: Final = "values of "
+# The parameter values of instances that a change under way has carried over.
+_CARRIED: Final = "carried"
+# Before the name of a role, for the state that its last instance has exported.
+_EXPORTED: Final = "exported of "
 _LOCK: Final = "lock"
 # Instead of the handle of an instance whose program has ended as it should.
 _DONE: Final = "done"
@@ -67,12 +71,21 @@ class SavedInstance:
     done: bool = False
 
 
+class LeftState(msgspec.Struct, frozen=True):
+    """The ``state`` that an instance has exported before it was removed; ``exporter`` is the UUID of its process."""
+
+    exporter: str
+    state: bytes
+
+
 @dataclass(frozen=True, slots=True)
 class SavedState:
     """The state that an earlier manager saved.
 
-    ``values``: by role, the parameter values that were set at run time. ``file`` was brought up or applied last, if
-    any, and ``changed_since``: another command has changed the specification then. ``lock``: a person has locked it.
+    ``values``: by role, the parameter values that were set at run time. ``carried``: by instance, those when a change
+    that has not ended last carried them over. ``exported``: by role, the state of an instance that such a change has
+    removed before its successor was there. ``file`` was brought up or applied last, if any, and ``changed_since``:
+    another command has changed the specification then. ``lock``: a person has locked it.
     ``reach``: as of :meth:`midstride.runtime.backend_protocol.Backend.reach`.
     """
 
@@ -86,6 +99,8 @@ class SavedState:
     changed_since: bool = False
     lock: ChangeLock | None = None
     reach: dict[str, str] = field(default_factory=dict)
+    carried: dict[str, dict[str, Any]] = field(default_factory=dict)
+    exported: dict[str, LeftState] = field(default_factory=dict)
 
 
 class StateStore:
@@ -101,6 +116,7 @@ class StateStore:
         self._disk = disk
         self._database: Database | None = None
         self._specification = Specification("")  # as last written
+        self._carried: dict[str, dict[str, Any]] = {}  # as last written
         self._pending: _Statements = {}  # writes that failed
         self._lease = Lease("system")
 
@@ -125,6 +141,8 @@ class StateStore:
                     raise self._unreadable("another version of Midstride wrote it")
                 parts = database.read("SELECT section, name, form FROM specification")
                 rows = database.read("SELECT form, handle FROM instances ORDER BY name")
+            carried = msgspec.json.decode(system.get(_CARRIED, "{}"), type=dict[str, dict[str, Any]])
+            self._carried = {name: _values(forms) for name, forms in carried.items()}
             return SavedState(
                 system["backend"],
                 system["token"],
@@ -132,9 +150,7 @@ class StateStore:
                 tuple(_instance(form, handle) for form, handle in rows),
                 msgspec.json.decode(system.get("options", "{}"), type=SystemOptions),
                 {
-                    key.removeprefix(_VALUES): {
-                        name: from_json(each) for name, each in msgspec.json.decode(value, type=dict[str, Any]).items()
-                    }
+                    key.removeprefix(_VALUES): _values(msgspec.json.decode(value, type=dict[str, Any]))
                     for key, value in system.items()
                     if key.startswith(_VALUES)
                 },
@@ -142,6 +158,12 @@ class StateStore:
                 bool(system.get("changed_since")),
                 None if (lock := system.get(_LOCK)) is None else msgspec.json.decode(lock, type=ChangeLock),
                 msgspec.json.decode(system.get("reach", "{}"), type=dict[str, str]),
+                {**self._carried},
+                {
+                    key.removeprefix(_EXPORTED): msgspec.json.decode(value, type=LeftState)
+                    for key, value in system.items()
+                    if key.startswith(_EXPORTED)
+                },
             )
         except ManagerError:
             raise
@@ -253,6 +275,22 @@ class StateStore:
         else:
             self._write({key: ("DELETE FROM system WHERE key = ?", (key,))})
 
+    def write_carried(self, carried: Mapping[str, Mapping[str, Any]]) -> None:
+        """The values that the change under way has carried over, by instance; none: there is no such change."""
+        found = {name: dict(values) for name, values in carried.items() if values}
+        if found != self._carried:
+            self._carried = found
+            forms = {name: json_values(values) for name, values in found.items()}
+            self._write(_puts(_CARRIED, msgspec.json.encode(forms).decode()))
+
+    def write_exported(self, role: str, state: LeftState | None) -> None:
+        """The state that the last instance of a role has exported, until its successor has imported it; then None."""
+        key = f"{_EXPORTED}{role}"
+        if state is not None:
+            self._write(_puts(key, msgspec.json.encode(state).decode()))
+        else:
+            self._write({key: ("DELETE FROM system WHERE key = ?", (key,))})
+
     def write_lock(self, lock: ChangeLock | None) -> None:
         """A person has locked the system, or None: the lock has ended."""
         if lock is not None:
@@ -271,6 +309,7 @@ class StateStore:
         self.close()
         self._disk.remove(self.path)
         self._lease.renew()
+        self._carried = {}
 
     def close(self) -> None:
         database, self._database = self._database, None
@@ -300,6 +339,10 @@ class StateStore:
         if self._database is None:
             self._database = self._disk.open(self.path, _SCHEMA)  # for its user alone: it holds the system's token
         return self._database
+
+
+def _values(forms: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: from_json(form) for name, form in forms.items()}
 
 
 def _puts(*pairs: str) -> _Statements:

@@ -6,24 +6,31 @@ Each of these is an ordinary plan (docs/protocols/recovery.md); what still runs 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from immutables import Map
 
 from midstride.errors import CommandRefused, ManagerError, PlanRefused, StepFailed
-from midstride.model.specification import Specification
+from midstride.model.specification import Specification, handover_seconds
+from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
+from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.plan.runtime_values import of_change
+from midstride.plan.state_continuity import left_behind
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
 from midstride.runtime.backend_protocol import Exited, Handle
 from midstride.runtime.change.change_session import ChangeSession
+from midstride.runtime.handover.state_transfers import has_left_state, import_state, keeps_state
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.reaper import process_info
 from midstride.runtime.records.journal_records import Interrupted
-from midstride.runtime.records.state_store import SavedState
+from midstride.runtime.records.state_store import LeftState, SavedState
+from midstride.runtime.restore.half_done import HalfDone
+from midstride.runtime.restore.half_done_values import HalfDoneValues
 from midstride.runtime.restore.recovery import recover
 from midstride.runtime.restore.restoring import Restorer
 
@@ -125,7 +132,7 @@ class BringUp:
             plan = restore(self.system.configuration, running, self.restorer.improved(change.pending), {})
             change = plan.change
         else:
-            plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
+            plan = replace(await asyncio.to_thread(self._plan, change), parameters=parameters)
         # Before any component has the token.
         reach = self.session.backend.reach()
         origin = (system.file, system.changed_since)
@@ -147,6 +154,20 @@ class BringUp:
         self.system.configuration = change.in_target_context(self.system.configuration)
         return {}
 
+    def _plan(self, change: Change) -> Plan:
+        """The plan for ``change``.
+
+        An interrupted change may have taken the topics from what it was to replace, which holds state still: a
+        replacement beside that would start with its own, so it is removed first. Raises PlanRefused.
+        """
+        plan = planner("minimal")(change)
+        left = left_behind(change, [step.action for step in plan.steps])
+        keeping = (old for old, new in change.replaced.items() if new in left and keeps_state(self.client, old))
+        if left.keys() == set(change.replaced.values()) and any(keeping):
+            with suppress(PlanRefused):
+                return planner("paper")(change)
+        return plan
+
     async def set_back(self, interrupted: Sequence[Interrupted]) -> None:
         """Roll back the settings of parameters that an earlier manager has begun and not watched to their end."""
         for change in interrupted:
@@ -167,7 +188,7 @@ class BringUp:
             except PlanRefused as error:
                 self.events.add("note", f"`{change.command}` was interrupted, and cannot be rolled back: {error}")
 
-    async def recover(self, saved: SavedState, interrupted: Iterable[Interrupted]) -> set[str]:
+    async def recover(self, saved: SavedState, interrupted: Sequence[Interrupted]) -> set[str]:
         """Find what an earlier manager left, and degrade what is without support.
 
         Returns the roles of components that are started by hand and do not run: nothing can restore these. Raises
@@ -184,10 +205,13 @@ class BringUp:
                 "`midstride apply` changes a running system, `midstride down` ends it"
             )
         self.system.values.saved = dict(saved.values)
+        values = HalfDoneValues(self.client, self.system.values, saved.carried, self.system.specification, interrupted)
+        half_done = HalfDone(self.launcher, self.client, self.events, values)
         targets = [change.target for change in interrupted]
-        self.system.configuration = await recover(
-            saved.instances, self.system.specification, self.launcher, self.client, self.events, targets
-        )
+        self.system.configuration = await recover(saved.instances, self.system.specification, half_done, targets)
+        self.store.write_carried({})
+        for role, left in saved.exported.items():
+            await self._give_back(role, left)
         running = self.system.configuration.instances
         gone = [each.instance for each in saved.instances if each.instance.name not in running]
         for instance in gone:
@@ -208,6 +232,18 @@ class BringUp:
             raise ManagerError(f"{words}. End the process that hangs with `kill -9`, then run `midstride up` again")
         present = self.system.configuration.instances_by_role
         return {each.role for each in gone if each.component.run is None and not present.get(each.role)}
+
+    async def _give_back(self, role: str, left: LeftState) -> None:
+        """Have the instance of ``role`` import the state ``left``, unless it has exported it; without one, it waits."""
+        self.system.exported[role] = left
+        for instance in self.system.configuration.instances_of(role):
+            latest = self.system.life.latest(instance.name)
+            if latest is None or latest.state.uuid != left.exporter:
+                longest = handover_seconds(self.system.specification.timing, "state_timeout")
+                failed = await import_state(self.client, instance, left, longest, lenient=True)
+                self.events.add("note", has_left_state(instance) if failed is None else failed)
+            self.store.write_exported(role, None)
+            self.system.exported.pop(role, None)
 
     def _require_same_reach(self, saved: SavedState) -> None:
         """Raises ManagerError where components run that this manager cannot reach: in another domain, for example.

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride import verdicts
-from midstride.codec.parameter import from_json
 from midstride.errors import MidstrideError
-from midstride.model.component import ComponentSpec, same_value
 from midstride.model.configuration import Instance
 from midstride.runtime.change.lost_endpoints import what_ended
 from midstride.runtime.change.managed_nodes import PLAN_LOOK, look_at_managers
@@ -22,6 +20,7 @@ from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import LastKnown, Launcher
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import killed_processes
+from midstride.runtime.restore.half_done_values import HalfDoneValues
 from midstride.wire.state import ComponentState
 
 # The kind of the event, which is an incident of the history.
@@ -30,28 +29,32 @@ HALF_DONE: Final = "half_done"
 
 @dataclass(frozen=True, slots=True)
 class HalfDone:
-    """What ends instances of the system of ``client``."""
+    """What ends instances of the system of ``client``. ``values``: the parameter values that were set on them."""
 
     launcher: Launcher
     client: ComponentClient
     events: EventLog
+    values: HalfDoneValues
 
     async def end(
         self,
         instance: Instance,
         state: ComponentState,
         because: str,
-        stays: ComponentState | None = None,
-        beside: ComponentSpec | None = None,
+        goes_on: tuple[Instance, ComponentState] | None = None,
     ) -> None:
         """End ``instance``, which was last in ``state``.
 
-        ``stays``: the state of the one of its role that goes on; ``beside``: its component. ``because``: what the ended
-        one is. If it cannot be ended, that is said, and `down` tries again.
+        ``goes_on``: the one of its role that goes on, and its state; it gets the values that were set last.
+        ``because``: what the ended one is. If it cannot be ended, that is said, and `down` tries again.
         """
         name, clock, before = instance.name, self.client.clock, self.events.last
+        other, stays = goes_on or (None, None)
+        values = None if other is None else self.values.between(instance, other)
         # Its agent is new, and has not seen the manager yet.
         await look_at_managers(self.client, name, instance.component, PLAN_LOOK)
+        if values is not None:
+            await values.carry_over()
         begun = clock.steady()
         try:
             await self.launcher.end(name)
@@ -59,27 +62,32 @@ class HalfDone:
             words = f"{name}, {because}, could not be ended: {error}; `midstride down` tries again"
             self.events.add(HALF_DONE, words)
             return
+        seconds = clock.steady() - begun
+        if values is not None:
+            await values.carry_over()
         known = self.launcher.last_known.get(name, LastKnown(None))
         if known.latest is not None:
             state = known.latest.state
+        lost = dict(sorted(state.set_values().items())) if values is None else await values.lost(state)
         found = [
             *_outputs(state, stays),
-            *_values(instance, state, stays),
+            *([verdicts.values_lost(name, lost)] if lost else []),
+            *_unknown(instance, state, stays),
             *what_ended(
                 name,
                 instance.component,
                 known,
                 planned=False,
                 new="this manager had just been started",
-                beside=beside,
+                beside=None if other is None else other.component,
             ),
             *(verdicts.managed_end(name, reasons) for reasons in [state.managed] if reasons),
             *self._others(name),
             *(verdicts.killed(each.instance, each.words) for each in killed_processes(self.events.since(before))),
         ]
-        seconds = clock.steady() - begun
-        goes_on = None if stays is None else stays.instance
-        self.events.add(HALF_DONE, verdicts.ended_half_done(name, because, goes_on, seconds, found))
+        fates = [] if values is None else values.fates()
+        rest = None if other is None else other.name
+        self.events.add(HALF_DONE, verdicts.ended_half_done(name, because, rest, seconds, found, fates))
 
     def _others(self, name: str) -> Iterator[verdicts.Assessment]:
         """The nodes that have ended with the process of an instance."""
@@ -107,16 +115,8 @@ def _outputs(state: ComponentState, stays: ComponentState | None) -> Iterator[ve
         yield verdicts.both_wrote(state.instance, stays.instance, both)
 
 
-def _values(instance: Instance, state: ComponentState, stays: ComponentState | None) -> Iterator[verdicts.Assessment]:
-    """What was set on the instance, and what it has kept, that the one which goes on does not have."""
-    has = {} if stays is None else {name: from_json(value) for name, value in stays.parameters.items()}
-    lost = {
-        name: value
-        for name, value in sorted(state.set_values().items())
-        if name not in has or not same_value(has[name], value)
-    }
-    if lost:
-        yield verdicts.values_lost(instance.name, lost)
+def _unknown(instance: Instance, state: ComponentState, stays: ComponentState | None) -> Iterator[verdicts.Assessment]:
+    """What is not known of the values that were set on the instance, and of the state that it has kept."""
     if (words := unread_parameters(instance, state)) is not None:
         yield verdicts.values_unknown(instance.name, words)
     if state.keeps_state:

@@ -32,20 +32,19 @@ from midstride.wire.state import NOT_WELCOMED, ComponentState
 async def recover(
     saved: Sequence[SavedInstance],
     specification: Specification,
-    launcher: Launcher,
-    client: ComponentClient,
-    events: EventLog,
+    half_done: HalfDone,
     targets: Sequence[Specification] = (),
 ) -> Configuration:
     """The configuration of the components that still run, after terminating those that were only partly started.
 
-    ``targets``: where interrupted changes led; components may be attached to the topics of these already. A component
-    started by hand that does not answer is left out. Raises Unreachable for those that a manager started.
+    ``half_done`` ends these. ``targets``: where interrupted changes led; components may be attached to the topics of
+    these already. A component started by hand that does not answer is left out. Raises Unreachable for those that a
+    manager started.
     """
+    launcher, client, events = half_done.launcher, half_done.client, half_done.events
     found: dict[str, tuple[Instance, ComponentState]] = {}
     done: dict[str, Instance] = {}
     hanging: list[str] = []
-    half_done = HalfDone(launcher, client, events)
     for entry in saved:
         instance, handle = entry.instance, entry.handle
         if instance.component.once:
@@ -87,15 +86,15 @@ async def recover(
     redundant = _redundant(found)
     for name in redundant:
         instance, state = found.pop(name)
-        stays, beside = None, None
+        goes_on = None
         for other, (successor, theirs) in found.items():
             if successor.role == instance.role and other not in redundant:
-                stays, beside = theirs, successor.component
+                goes_on = successor, theirs
                 with suppress(MidstrideError):
                     left = await have_answer(client, other, name, instance.component.stop_times.drain)
                     if left is not None:
                         events.add("note", left)
-        await half_done.end(instance, state, "which an earlier manager had left half done", stays, beside)
+        await half_done.end(instance, state, "which an earlier manager had left half done", goes_on)
     for name in found:
         await have_answer(client, name)
     for name, (instance, observed) in found.items():

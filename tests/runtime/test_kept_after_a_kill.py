@@ -1,0 +1,256 @@
+"""A manager killed at every request of a replacement: values and state outlast it, whichever instance stays."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from dataclasses import replace as changed
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.backends.simulator import Simulator
+from midstride.model.specification import Specification
+from midstride.plan.request import PlanRequest
+from midstride.runtime.manager import Manager
+from midstride.runtime.options import SystemOptions
+from midstride.runtime.workspace import Workspace
+from tests.runtime.systems import EXAMPLES, last_said, replace, saved, stateful_talkers
+from tests.runtime.test_manager_killed_at_a_write import Killed, MortalDisk, When, until_killed
+from tests.runtime.test_one_answers import answering
+from tests.runtime.test_parameters import set_by_a_tool, source, tuned, values
+
+RESTART = PlanRequest(restart=("talker",))
+REPLACE = replace("talker", "NewTalker")
+
+
+def killed_at(
+    specification: Specification,
+    folder: Path,
+    request: PlanRequest,
+    disk: MortalDisk,
+    number: int,
+    before: Callable[[Simulator], Awaitable[object]],
+    meanwhile: Callable[[Simulator], Awaitable[object]],
+    after: Callable[[Manager, Simulator], Awaitable[object]],
+    finish: bool = False,
+) -> bool:
+    """Kill the manager at a request of a change; False where the change has fewer of them.
+
+    ``before`` is awaited before the change, ``meanwhile`` while no manager runs, and ``after`` with the next one.
+    """
+    simulator, workspace = Simulator(), Workspace(folder)
+    workspace.path.mkdir()
+
+    async def main() -> bool:
+        first = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
+        await first.up()
+        await before(simulator)
+        disk.dies_at_request = number
+        await until_killed(first, first.change(request), disk)
+        with suppress(Killed):
+            await first.close()
+        if not disk.dead:
+            return False
+        await asyncio.sleep(1)
+        await meanwhile(simulator)
+        disk.revive()
+        options = SystemOptions(finish_interrupted=finish)
+        second = Manager(
+            disk.saved(workspace).specification, simulator, workspace, EXAMPLES / "talker", options=options, disk=disk
+        )
+        await second.up()
+        try:
+            await asyncio.sleep(1)
+            assert (await second.status()).valid
+            assert sorted(simulator.processes) == sorted(second.configuration.instances), "an orphan"
+            await after(second, simulator)
+            assert (left := disk.saved(workspace)).carried == {} and left.exported == {}
+        finally:
+            await second.close()
+        return True
+
+    return simulator.run(main())
+
+
+def at_each_request(work: Callable[[Path, MortalDisk, int], bool], folder: Path, when: When, every: int) -> int:
+    """Do ``work`` for one request after the other; how many there were."""
+    number = 1
+    while True:
+        inner = folder / f"{number}{when}"
+        if not work(inner, MortalDisk(when=when), number):
+            return number
+        number += every
+
+
+EVERY = pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.full)])
+WHEN = pytest.mark.parametrize("when", ["before", "after"])
+
+
+@EVERY
+@WHEN
+@pytest.mark.parametrize("request_", [RESTART, REPLACE], ids=["restart", "replace"])
+@pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
+def test_what_is_set_between_two_managers_is_kept(
+    finish: bool, request_: PlanRequest, when: When, every: int, tmp_path: Path
+) -> None:
+    """It is set on the instance that answers then, and the next manager may keep the other one."""
+    specification, carried = tuned(tmp_path), list[str]()
+
+    async def before(simulator: Simulator) -> None:
+        await set_by_a_tool(simulator, "talker", "label", "left")
+        await set_by_a_tool(simulator, "talker", "gain", 1.7)
+
+    async def meanwhile(simulator: Simulator) -> None:
+        (one,) = answering(simulator, "talker") or sorted(each for each in simulator.processes if "talker" in each)[:1]
+        await set_by_a_tool(simulator, one, "gain", 1.9)
+
+    async def after(manager: Manager, _: Simulator) -> None:
+        (talker,) = (name for name, each in manager.configuration.instances.items() if each.role == "talker")
+        found, _declared = await values(manager, talker)
+        assert found == {"gain": 1.9, "label": "left"}
+        half_done = (event.words for event in manager.log() if event.kind == "half_done")
+        carried.extend(words for words in half_done if "gain = 1.9" in words)
+
+    def work(folder: Path, disk: MortalDisk, number: int) -> bool:
+        return killed_at(specification, folder, request_, disk, number, before, meanwhile, after, finish)
+
+    assert at_each_request(work, tmp_path, when, every) > 10
+    assert all("lost: what was set" not in words for words in carried)
+
+
+@pytest.mark.parametrize("back", [False, True], ids=["another value", "the declared value"])
+def test_the_later_of_two_values_counts(back: bool, tmp_path: Path) -> None:
+    """Both have got one since values were last carried over; the one that goes on has taken over: its own is later."""
+
+    specification, ended = tuned(tmp_path), list[str]()
+    value = 1.5 if back else 2.2
+
+    async def before(simulator: Simulator) -> None:
+        await set_by_a_tool(simulator, "talker", "gain", 1.7)
+
+    async def meanwhile(simulator: Simulator) -> None:
+        if {"talker", "talker_2"} <= simulator.processes.keys() and answering(simulator, "talker") == ["talker_2"]:
+            await set_by_a_tool(simulator, "talker", "label", "only here")
+            await set_by_a_tool(simulator, "talker", "gain", 1.9)
+            await set_by_a_tool(simulator, "talker_2", "gain", value)
+            ended.append("")
+
+    async def after(manager: Manager, _: Simulator) -> None:
+        (talker,) = (name for name, each in manager.configuration.instances.items() if each.role == "talker")
+        if ended[-1:] == [""]:
+            ended[-1] = next(event.words for event in manager.log() if event.kind == "half_done")
+            found, _declared = await values(manager, talker)
+            assert found == {"gain": value, "label": "only here"}
+
+    def work(folder: Path, disk: MortalDisk, number: int) -> bool:
+        return killed_at(specification, folder, RESTART, disk, number, before, meanwhile, after)
+
+    at_each_request(work, tmp_path, "after", 1)
+    assert ended
+    for words in ended:
+        assert "talker: label = 'only here', set at run time: kept; " in words
+        assert "; lost: what was set on talker while it ran: gain = 1.9" in words
+
+
+def test_what_the_one_that_stays_refuses_is_said(tmp_path: Path) -> None:
+    specification, said = tuned(tmp_path, source(2.5, limit=10)), list[str]()
+
+    async def before(simulator: Simulator) -> None:
+        pass
+
+    async def meanwhile(simulator: Simulator) -> None:
+        if "talker" in simulator.processes:
+            await set_by_a_tool(simulator, "talker", "gain", 50.0)
+
+    async def after(manager: Manager, _: Simulator) -> None:
+        half_done = (event.words for event in manager.log() if event.kind == "half_done")
+        said.extend(words for words in half_done if "talker_2 goes on" in words)
+
+    def work(folder: Path, disk: MortalDisk, number: int) -> bool:
+        return killed_at(specification, folder, REPLACE, disk, number, before, meanwhile, after, finish=True)
+
+    at_each_request(work, tmp_path, "after", 1)
+    assert said
+    for words in said:
+        assert "gain = 50.0, set at run time: too late, after the hand-over: " in words and "from 0 to 10" in words
+
+
+@EVERY
+@WHEN
+@pytest.mark.parametrize("strategy", ["minimal", "paper", "quiesce"])
+@pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
+def test_state_outlasts_the_manager(finish: bool, strategy: Any, when: When, every: int, tmp_path: Path) -> None:
+    """Under a strategy that removes first, the manager alone has it for a while."""
+    specification, taken_up = stateful_talkers(tmp_path), set[str]()
+    request = changed(REPLACE, strategy=strategy)
+
+    async def before(simulator: Simulator) -> None:
+        program: Any = simulator.processes["talker"]._program
+        program._main.__dict__["state"] = "what it has learned"
+
+    async def nothing(_: Simulator) -> None:
+        pass
+
+    async def after(_: Manager, simulator: Simulator) -> None:
+        taken_up.add(await last_said(simulator))
+
+    def work(folder: Path, disk: MortalDisk, number: int) -> bool:
+        return killed_at(specification, folder, request, disk, number, before, nothing, after, finish)
+
+    at_each_request(work, tmp_path, when, every)
+    assert taken_up and all(said.startswith("what it has learned") for said in taken_up), taken_up
+
+
+def test_state_that_waits_for_its_role_is_imported_by_a_later_start(tmp_path: Path) -> None:
+    """The program cannot be started when the next manager comes up: what its predecessor has exported waits."""
+    specification = stateful_talkers(tmp_path)
+    simulator, workspace, disk = Simulator(), Workspace(tmp_path / "system"), MortalDisk(when="after")
+    workspace.path.mkdir()
+
+    async def main() -> None:
+        first = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
+        await first.up()
+        end = first._launcher.end
+
+        async def ending(name: str) -> None:
+            await end(name)
+            disk.dead = True
+
+        first._launcher.end = ending  # type: ignore[method-assign]
+        await until_killed(first, first.change(changed(RESTART, strategy="paper")), disk)
+        with suppress(Killed):
+            await first.close()
+        disk.revive()
+        assert disk.saved(workspace).exported["talker"].state == b"the old one's"
+        program = (tmp_path / "Talker.py").read_text()
+        (tmp_path / "Talker.py").write_text("raise SystemExit('no camera')\n")
+        second = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
+        report = await second.up()
+        assert [*report.missing] == ["talker"] and disk.saved(workspace).exported
+        (tmp_path / "Talker.py").write_text(program)
+        outcome = await second.change(RESTART)
+        assert outcome.outcome == "done", outcome.because
+        assert await last_said(simulator) == "the old one's+"
+        assert disk.saved(workspace).exported == {}
+        assert any("which was exported before the last manager ended" in event.words for event in second.log())
+        await second.close()
+
+    simulator.run(main())
+
+
+def test_a_manager_that_is_not_killed_leaves_nothing(tmp_path: Path) -> None:
+    simulator, workspace = Simulator(), Workspace(tmp_path / "system")
+    workspace.path.mkdir()
+
+    async def main() -> None:
+        manager = Manager(tuned(tmp_path), simulator, workspace, EXAMPLES / "talker")
+        await manager.up()
+        await set_by_a_tool(simulator, "talker", "gain", 1.7)
+        assert (await manager.change(REPLACE)).outcome == "done"
+        assert saved(workspace).carried == {}
+        await manager.close()
+
+    simulator.run(main())
