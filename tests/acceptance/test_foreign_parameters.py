@@ -146,10 +146,9 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             begun = time.time()
             assert await set_by_a_client(bare, "/left", "gain", 0.25) == (True, "")
             (report,) = await manager.parameters("left")
-            ((value, origin, set_at),) = (
-                (each.value, each.origin, each.set_at) for each in report.parameters if each.name == "gain"
-            )
-            assert (value, origin) == (0.25, UNSET)
+            (gain_now,) = (each for each in report.parameters if each.name == "gain")
+            assert (gain_now.value, gain_now.origin) == (0.25, UNSET)
+            set_at = gain_now.set_at
             assert isinstance(set_at, float) and begun < set_at < time.time()
             # What a node sets itself is told from that.
             (tmp_path / "calibrate").touch()

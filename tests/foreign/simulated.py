@@ -39,7 +39,8 @@ class SimulatedNode:
     """A node that takes 20 ms for each transition. ``events`` is that of all nodes of a system.
 
     ``refuses`` and ``hangs`` have transitions; ``rejects``: by parameter, why it cannot be set. ``ends_on``: the signal
-    on which its process ends; on None of them, it has to be killed. ``slow``: how long a transition takes besides (s).
+    on which its process ends; on None of them, it has to be killed. ``slow``: how long a transition takes besides (s);
+    it may have `export` and `import`, too.
     ``lacks``: the parameters that it does not declare; ``forgets``: it has set what it was asked to, and hangs then.
     ``kept``: its state, None where it offers none; ``no_export`` and ``no_import``: why it refuses, if so.
     ``hangs`` may have `export` and `import`, too.
@@ -125,6 +126,10 @@ class SimulatedNode:
         if what in self.hangs:
             await asyncio.sleep(timeout)
             raise NoAnswer(f"{self.instance} has not answered within {timeout:g} s")
+        if (seconds := self.slow.get(what, 0.0)) > timeout:
+            await asyncio.sleep(timeout)
+            raise NoAnswer(f"{self.instance} has not answered within {timeout:g} s")
+        await asyncio.sleep(seconds)
         await self._answers(timeout)
 
     def served(self) -> Served:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import os
+import struct
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -27,6 +28,7 @@ from midstride.foreign.page import (
     ROOM,
     SERVER,
     VERSION,
+    KnownSetting,
     Page,
     PageLayout,
     PagePort,
@@ -318,3 +320,23 @@ def test_a_node_that_runs_with_an_earlier_layout_is_named_and_goes_on(
     asyncio.run(scenario())
     before = lab.written_by(index)
     until(lambda: lab.written_by(index) > before + 10, "the node does not go on")
+
+
+# -- requests to set parameters ----------------------------------------------------------------------------
+
+
+def test_what_a_library_has_noted_of_requests_is_read_as_far_as_it_is_whole(tmp_path: Path, gate_library: Path) -> None:
+    page = Page(tmp_path / "page", gate_library)
+    index = page.allocate("set")
+    assert page.settings(index) == []
+    requests = [("/set/set_parameters", b"one"), ("/other/set_parameters", b"a\0b")]
+    noted = [service.encode() + b"\0" + request for service, request in requests]
+    whole = b"".join(struct.pack("<qQ", 1_500_000_000, len(each)) + each for each in noted)
+    path = tmp_path / f"page.{index}.settings"
+    for rest in range(len(whole) - len(noted[1]), len(whole)):
+        path.write_bytes(whole[:rest])
+        assert page.settings(index) == [KnownSetting(1.5, *requests[0])]
+    path.write_bytes(whole)
+    assert page.settings(index) == [KnownSetting(1.5, *request) for request in requests]
+    page.free(index)
+    assert page.settings(index) == []

@@ -15,6 +15,7 @@ from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
 from midstride.foreign.page import PortFlag
 from midstride.foreign.record import ForeignRecord
+from midstride.model.action import Handover
 from midstride.node.handover.baton import BatonStep
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -281,3 +282,27 @@ def test_the_plan_says_what_waits_for_the_state(tmp_path: Path) -> None:
         assert not [each for each in (await manager.plan(PAPER)).besides if "the state of" in each.words]
 
     simulated.managed(tmp_path, chat("lifecycle"), body, KEPT)
+
+
+@pytest.mark.parametrize("stated", [1.0, 9.0])
+def test_the_specification_states_how_long_state_may_take(stated: float, tmp_path: Path) -> None:
+    """The old node takes 5 s to export it."""
+
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        await asyncio.sleep(3)  # the graph has shown it
+        plan = await manager.plan(REPLACE)
+        (silence,) = [each for each in plan.besides if "while the state of" in each.words]
+        assert silence.seconds == stated
+        (step,) = [step for step in plan.steps if isinstance(step.action, Handover)]
+        assert step.between is not None and step.between[1] - step.between[0] >= stated
+        outcome = await manager.change(REPLACE)
+        if stated > 5:
+            assert (outcome.outcome, outcome.because, outcome.own_state) == ("done", None, {})
+            assert simulator.of("talker").kept == b"41"
+        else:
+            assert outcome.outcome == "rolled_back"
+            assert "has not answered within 1 s" in str(outcome.because)
+
+    text = f"{chat('lifecycle')}timing {{ state_timeout {stated:g} s }}\n"
+    behaviour: dict[str, dict[str, Any]] = {**KEPT, "Talker": {"kept": b"41", "slow": {"export": 5.0}}}
+    simulated.managed(tmp_path, text, body, behaviour)

@@ -17,6 +17,7 @@ from midstride.plan.goals_in_progress import with_time_for_goals
 from midstride.plan.overlap import duration
 from midstride.plan.plan import Plan
 from midstride.plan.sensitivity import sensitivity
+from midstride.plan.state_continuity import with_time_for_state
 from midstride.plan.strategies.registry import planner
 from tests.plan.cases import NEED, system, work
 
@@ -80,6 +81,7 @@ def replacement(
     gate: Gate | None = "preload",
     stop: StopTimes | None = None,
     new_gate: Gate | None = "preload",
+    **timing: float,
 ) -> Plan:
     """Of a node behind ``gate``, which states ``stop``, by one behind ``new_gate``, for which there is room."""
     parts = [replace(work(name, outputs=["out"]), startup_seconds=None, gate="preload") for name in ("Old", "New")]
@@ -91,7 +93,7 @@ def replacement(
         {"a": ("Old", {"out": "/A"})},
         topics={"/A": contract},
     )
-    start = replace(start, timing=Map(probation=0.0))
+    start = replace(start, timing=Map(probation=0.0, **timing))
     return planner(strategy)(change_between(initial(start), start, start.with_replaced("a", "New"), {}))
 
 
@@ -113,6 +115,23 @@ def test_a_plan_counts_the_time_for_which_goals_of_the_old_node_may_go_on() -> N
     assert removal(with_time_for_goals(replacement())) is None
     assert removal(with_time_for_goals(replacement(gate="relay"), ["a"])) is None
     assert removal(with_time_for_goals(replacement("stop"), ["a"])) is None
+
+
+def handover(plan: Plan) -> tuple[float, float] | None:
+    (found,) = (step.between for step in plan.steps if step.action.kind == "handover")
+    return found
+
+
+def test_a_plan_counts_the_time_in_which_state_may_move() -> None:
+    found = handover(with_time_for_state(replacement(), ["a"]))
+    assert found == pytest.approx((0.1, 2.1))
+    assert handover(with_time_for_state(replacement(gate=None, new_gate=None), ["a"])) == found
+    plan = replacement(state_timeout=10.0)
+    assert handover(with_time_for_state(plan, ["a"])) == pytest.approx((0.1, 10.1))
+    # It keeps none, is of another kind than its successor, or behind a relay.
+    assert handover(with_time_for_state(plan, ["b"])) is None
+    assert handover(with_time_for_state(replacement(new_gate=None), ["a"])) is None
+    assert handover(with_time_for_state(replacement(gate="relay", new_gate="relay"), ["a"])) is None
 
 
 def test_a_declared_action_server_may_have_goals() -> None:

@@ -12,7 +12,7 @@ from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec, Gate, ParameterSpec, ParameterValue
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.runtime_values import Values, decide, of_change
+from midstride.plan.runtime_values import Values, decide, of_change, runtime_value, time_of, with_times
 from tests.model import build
 
 
@@ -133,3 +133,17 @@ def test_a_program_without_the_api_starts_with_what_was_set_on_its_predecessor()
     for gate in gates:
         target = system("New", replace(component("New", gain=1.0), gate=gate))
         assert fates(RUNNING, target, gain=1.7, own=3) == {"gain": "kept", "own": "kept"}
+
+
+def test_a_value_says_when_a_request_has_set_it() -> None:
+    values = [
+        runtime_value("talker", "gain", 2.5, "kept", "kept"),
+        runtime_value("talker", "own", 1.0, "kept", "kept", "node"),
+        runtime_value("listener", "gain", 3.5, "kept", "kept"),
+    ]
+    times = {"talker": {"gain": 1.75e9, "own": 1.75e9}}
+    first, *others = with_times(values, lambda role: times.get(role, {}))
+    assert first.set_at == 1.75e9
+    assert first.words == f"{values[0].words} (a request has set it at {time_of(1.75e9)})"
+    assert others == values[1:]
+    assert with_times([first], lambda _: {"gain": 1.0}) == (first,)

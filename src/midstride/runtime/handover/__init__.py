@@ -2,6 +2,6 @@
 
 PUBLIC = (
     "ATTACH_TIMEOUT CutTurn CutTurns DEFAULT_WAIT DETACH_TIMEOUT Fences GivenUp LiveHandover StateMoves "
-    "StateTransfers StepBudget WATCHED_WINDOW WatchedOutput WatchedServer hanging keeps_state only_turn own_state "
-    "require_arbiters watch_after watch_servers_after"
+    "StateTransfers StepBudget WATCHED_WINDOW WatchedOutput WatchedServer hanging has_left_state import_state "
+    "keeps_state only_turn own_state require_arbiters watch_after watch_servers_after"
 )
