@@ -302,7 +302,7 @@ def answered_by_both(instance: str, served: Sequence[str], *, planned: bool) -> 
 
 
 def goals_go_on(instance: str, actions: Sequence[str], patience: float) -> Assessment:
-    """Goals that a node without Midstride's API has accepted stay with it; new ones go to its successor."""
+    """Goals that a node has accepted stay with it; new ones go to its successor."""
     words = (
         f"goals of others that are under way at {listed(actions)}: they go on at {instance}, which runs beside its "
         f"replacement until they have ended, for at most {patience:g} s (`patience`); what is left then is cancelled"
@@ -310,19 +310,15 @@ def goals_go_on(instance: str, actions: Sequence[str], patience: float) -> Asses
     return Assessment(instance, "not_measurable", words)
 
 
-def goals_finish_at(instance: str, actions: Sequence[str], patience: float) -> Assessment:
-    """Goals that a server with Midstride's API has accepted stay with it, and what is asked later does not reach it."""
-    words = (
-        f"goals of others that are under way at {listed(actions)}: they go on at {instance}, which runs beside its "
-        f"replacement until they have ended, for at most {patience:g} s; what is left then ends with it. A request to "
-        f"cancel one, or for its result, that is sent after the change-over is answered by the replacement, which does "
-        f"not know the goal"
-    )
-    return Assessment(instance, "not_measurable", words)
+def waits_for_goals(instance: str, because: str, goals: int, seconds: float) -> str:
+    """An instance that an earlier manager has left is ended when its goals have ended, in words."""
+    have = f"{counted(goals, 'goal')} of ROS actions in progress"
+    until = f"it is ended when they have ended, after {seconds:g} s at the latest"
+    return f"{instance}, {because}, has {have}: {until}"
 
 
 def goals_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> Assessment:
-    """The goals that a component with Midstride's API has accepted do not move to its successor."""
+    """The goals of a component with Midstride's API that has no successor beside it, or none with the API."""
     verb = "ended" if not planned else "end"
     words = f"goals of others that are under way at {listed(actions)}: they {verb} with {instance}"
     return Assessment(instance, "not_measurable", words)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,6 @@ USER = """
 from pathlib import Path
 
 from midstride import Component
-from action_msgs.msg import GoalStatus
 from test_msgs.action import Fibonacci
 
 comp = Component("User")
@@ -69,8 +69,6 @@ async def normal():
     while True:
         handle = await count.send_goal_async(Fibonacci.Goal(order=3))
         result = await handle.get_result_async()
-        if handle.accepted and result.status == GoalStatus.STATUS_UNKNOWN:
-            continue  # asked for after the change-over: the new instance does not know the goal
         modes.write(f"normal {result.result.sequence[-1]}\\n")
 
 use.set_normal_mode(normal, inputs=[count])
@@ -106,6 +104,7 @@ def test_ros_actions_are_ports(tmp_path: Path) -> None:
 
     async def scenario() -> None:
         from action_msgs.msg import GoalStatus
+        from action_msgs.srv import CancelGoal
         from rclpy.action import ActionClient
         from test_msgs.action import Fibonacci
 
@@ -124,17 +123,46 @@ def test_ros_actions_are_ports(tmp_path: Path) -> None:
                 found = (tmp_path / "modes").read_text().splitlines()
                 return found[-1] if found else ""
 
-            await system.until(client.server_is_ready)
+            cancelling = system.bare.node.create_client(CancelGoal, "/count/_action/cancel_goal")
+            await system.until(lambda: client.server_is_ready() and cancelling.service_is_ready())
             await system.until(lambda: seen() == "normal 1000")
             assert not (await sent(13)).accepted
 
             # A goal in progress finishes where it was accepted, before that instance ends; the new one executes others.
             result = (await sent(100)).get_result_async()
-            await system.replaced("OtherServer")
+            asked_late, cancelled, among_all, unfetched = [await sent(order) for order in (100, 9999, 9999, 2)]
+            replacing = asyncio.ensure_future(manager.change(PlanRequest(replace=(("talker", "OtherServer"),))))
             await system.until(lambda: seen() == "normal 1002")
-            done = await finished(result)
-            assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_SUCCEEDED, 1000)
-            assert len(done.result.sequence) == 101
+            # What is asked about it then is answered there, too.
+            late = asked_late.get_result_async()
+            reply = await finished(cancelled.cancel_goal_async())
+            assert [info.goal_id for info in reply.goals_canceling] == [cancelled.goal_id]
+            done = await finished(cancelled.get_result_async())
+            assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, 1000)
+            for each in (result, late):
+                done = await finished(each)
+                assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_SUCCEEDED, 1000)
+                assert len(done.result.sequence) == 101
+            # A request to cancel all goals is answered once, for both instances.
+            new = await sent(9999)
+            reply = await finished(cancelling.call_async(CancelGoal.Request()))
+            found = {bytes(info.goal_id.uuid) for info in reply.goals_canceling}
+            assert found >= {bytes(goal.goal_id.uuid) for goal in (among_all, new)}
+            done = await finished(new.get_result_async())
+            assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, 1002)
+            report = await system.meanwhile(replacing)
+            assert (report.outcome, report.because) == ("done", None), report.because
+            # One instance has ended; the result that no client had fetched, and another one, are known all the same.
+            for goal, status in ((unfetched, GoalStatus.STATUS_SUCCEEDED), (among_all, GoalStatus.STATUS_CANCELED)):
+                done = await finished(goal.get_result_async())
+                assert (done.status, done.result.sequence[-1]) == (status, 1000)
+            counted = report.goals["talker"]
+            assert (counted.old, counted.new, counted.lost, counted.unknown) == ("talker", "talker_2", 0, 0)
+            assert counted.ended_at_old >= 3 and counted.ended_at_new >= 1 and counted.cancelled >= 3
+            assert counted.accepted == (
+                counted.ended_at_old + counted.ended_at_new + counted.cancelled + counted.in_progress
+            )
+            assert "goal" not in str(report.continuity), report.continuity
 
             # A mode that does not serve rejects goals, and those in progress go on.
             goal = await sent(100_000)

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 from immutables import Map
 
-from midstride.model.component import NodeEndpoint
+from midstride.model.component import DEFAULT_STOP, NodeEndpoint
+from midstride.verdicts import Assessments
 from tests.acceptance.support import ended, managed, other_source
 from tests.acceptance.test_node_name import specification
 from tests.backends.ros2_support import Bare, run
@@ -67,7 +68,7 @@ comp.start()
 
 
 @pytest.mark.full
-def test_a_ros_action_is_answered_by_one_instance_and_goals_in_progress_are_aborted(tmp_path: Path) -> None:
+def test_a_ros_action_is_answered_by_one_instance_and_goals_in_progress_are_ended(tmp_path: Path) -> None:
     pytest.importorskip("test_msgs.action", reason="no package with a ROS action is installed")
     from action_msgs.msg import GoalStatus
     from rclpy.action import ActionClient
@@ -80,6 +81,7 @@ def test_a_ros_action_is_answered_by_one_instance_and_goals_in_progress_are_abor
             component,
             run=f"{sys.executable} {tmp_path / 'action.py'}",
             allows=(NodeEndpoint("action", "~/count"),),
+            stop=replace(DEFAULT_STOP, patience=1.0),
         )
         for name, component in system.components.items()
     }
@@ -113,8 +115,11 @@ def test_a_ros_action_is_answered_by_one_instance_and_goals_in_progress_are_abor
                 # Soon, not when the lease of the old process has expired: the new one would take it for a foreign node.
                 await bare.until(lambda: bare.node.get_node_names().count("source") == 1, 10.0)
 
-                aborted = await finished(result)
-                assert aborted.status == GoalStatus.STATUS_ABORTED and aborted.result.sequence[-1] == 1000
+                done = await finished(result)
+                assert done.status == GoalStatus.STATUS_CANCELED and done.result.sequence[-1] == 1000
+                assert isinstance(outcome.continuity, Assessments)
+                (words,) = (each.words for each in outcome.continuity.found if "goal" in each.words)
+                assert "1 goal had not ended after 1 s (`patience`), and cancelling was asked for" in words
                 cancelled = await finished(long.cancel_goal_async())
                 assert not cancelled.goals_canceling, "the new one does not know that goal"
 
@@ -122,6 +127,12 @@ def test_a_ros_action_is_answered_by_one_instance_and_goals_in_progress_are_abor
                 await finished(fresh.cancel_goal_async())
                 done = await finished(fresh.get_result_async())
                 assert done.status == GoalStatus.STATUS_CANCELED and done.result.sequence[-1] == 1002
+
+                result = (await accepted(100_000)).get_result_async()
+                ending = asyncio.ensure_future(manager.down())
+                done = await finished(result)
+                assert done.status == GoalStatus.STATUS_ABORTED and done.result.sequence[-1] == 1002
+                await ending
                 client.destroy()
 
     with ended():

@@ -183,14 +183,21 @@ def test_requests_to_a_ros_action_are_handled_by_one_server_each() -> None:
         def __init__(self, *, is_open: bool) -> None:
             self.handled: list[str] = []
             self.admission = RequestAdmission(time.monotonic_ns, is_open=is_open)
+            self._result_futures: dict[bytes, Any] = {}
+            self._handle = SimpleNamespace(process_cancel_request=None, send_cancel_response=lambda *_: None)
             guard_action(self, self.admission, lambda work: asyncio.run(work()))
 
         async def execute(self, taken: dict[str, Any]) -> None:
             self.handled += taken
 
+        async def _execute_cancel_request(self, entry: Any) -> None:
+            self.handled.append("cancel")
+            self._handle.send_cancel_response(None, SimpleNamespace(return_code=0))
+
     def request(goal: int, number: int, *, cancels: bool = False) -> tuple[Any, Any]:
         goal_id = SimpleNamespace(uuid=[goal] * 16)
-        body = {"goal_info": SimpleNamespace(goal_id=goal_id)} if cancels else {"goal_id": goal_id}
+        stamp = SimpleNamespace(sec=0, nanosec=0)
+        body = {"goal_info": SimpleNamespace(goal_id=goal_id, stamp=stamp)} if cancels else {"goal_id": goal_id}
         return SimpleNamespace(sequence_number=number), SimpleNamespace(**body)
 
     old, new = Server(is_open=True), Server(is_open=False)

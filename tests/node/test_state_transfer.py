@@ -83,6 +83,7 @@ def importing(
         VirtualHost().host,
         cast(Any, [runner]),
         "old",
+        "its address",
         request or never,
     )
 

@@ -115,6 +115,14 @@ def test_a_plan_counts_the_time_for_which_goals_of_the_old_node_may_go_on() -> N
     assert removal(with_time_for_goals(replacement())) is None
     assert removal(with_time_for_goals(replacement(gate="relay"), ["a"])) is None
     assert removal(with_time_for_goals(replacement("stop"), ["a"])) is None
+    assert removal(with_time_for_goals(replacement(gate=None), ["a"])) is None
+
+
+def test_a_plan_counts_the_time_for_which_goals_of_a_component_with_the_api_may_go_on() -> None:
+    assert removal(with_time_for_goals(replacement(gate=None, new_gate=None), ["a"])) == (0.2, 81.0)
+    patient = replacement(gate=None, new_gate=None, stop=replace(StopTimes(), patience=20.0))
+    assert removal(patient) is None, "the patience alone says nothing of a component without goals"
+    assert removal(with_time_for_goals(patient, ["a"])) == (0.2, 41.0)
 
 
 def handover(plan: Plan) -> tuple[float, float] | None:

@@ -55,14 +55,14 @@ def test_plan_and_report_name_the_goals_of_a_component_with_the_api(
         monkeypatch.setattr(manager._client, "endpoints", lambda name: GOALS if name == "talker" else [])
         plan = await manager.plan(PlanRequest(restart=("talker",)))
         assert [each.words for each in plan.besides] == [
-            "goals of others that are under way at ROS action /dock: they end with talker",
+            "goals of others that are under way at ROS action /dock: they go on at talker, which runs beside its "
+            "replacement until they have ended, for at most 60 s (`patience`); what is left then is cancelled",
             "requests and goals of talker that are under way at ROS action /pick and service /map: they go on when it "
             "ends, and it gets no answer",
         ]
         outcome = await manager.change(PlanRequest(restart=("talker",)))
         assert isinstance(outcome.continuity, Assessments) and outcome.continuity.verdict == "not_measurable"
         assert [each.words for each in outcome.continuity.found] == [
-            "goals of others that are under way at ROS action /dock: they ended with talker",
             "requests and goals of talker that are under way at ROS action /pick and service /map: they went on, "
             "and it got no answer",
         ]
@@ -79,7 +79,6 @@ def test_a_roll_back_names_what_has_ended_with_the_new_instance_and_not_what_goe
         outcome = await manager.change(PlanRequest(restart=("talker",)))
         assert outcome.outcome == "rolled_back" and isinstance(outcome.continuity, Assessments)
         assert [each.words for each in outcome.continuity.found if each.subject.startswith("talker")] == [
-            "goals of others that are under way at ROS action /dock: they ended with talker_2",
             "requests and goals of talker_2 that are under way at ROS action /pick and service /map: they went on, and "
             "it got no answer",
         ]
@@ -285,8 +284,7 @@ def test_a_plan_says_for_how_long_the_goals_of_a_server_with_the_api_go_on() -> 
     (words,) = said(None)
     assert words == (
         "goals of others that are under way at ROS action /A: they go on at a, which runs beside its replacement until "
-        "they have ended, for at most 60 s; what is left then ends with it. A request to cancel one, or for its "
-        "result, that is sent after the change-over is answered by the replacement, which does not know the goal"
+        "they have ended, for at most 60 s (`patience`); what is left then is cancelled"
     )
     assert said("preload") == said(None, "stop") == []
 

@@ -502,6 +502,27 @@ declare namespace Api {
     busy?: number | null;
   }
 
+  /** What became of the goals of the ROS actions of a node that was replaced, and of those that its replacement got. As both have counted, from the beginning of the change to its report. */
+  interface GoalTally {
+    old: string;
+    new: string;
+    /** in progress at the beginning, or accepted since */
+    accepted: number;
+    /** that succeeded or were aborted, at the replaced instance */
+    ended_at_old: number;
+    /** the same, at its replacement */
+    ended_at_new: number;
+    /** that ended as they were cancelled, at either */
+    cancelled: number;
+    /** that go on at the time of the report */
+    in_progress: number;
+    /** that had not ended when their instance did */
+    lost: number;
+    /** requests about goals that neither knew, which were answered so */
+    unknown: number;
+    words: string;
+  }
+
   /** Topics change their publisher at one moment. */
   interface HandoverStep {
     action: "handover";
@@ -809,6 +830,8 @@ declare namespace Api {
     own_state: Record<string, string>;
     /** by new node without Midstride's API: the state that has moved to it */
     moved: Record<string, StateMove>;
+    /** by role that was replaced: what became of the goals of its ROS actions */
+    goals: Record<string, GoalTally>;
     because: string | null;
     /** what became of values that were set at run time */
     parameters: RuntimeValue[];

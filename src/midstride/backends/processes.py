@@ -102,6 +102,7 @@ def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
         variables.ENV_START: uuid.uuid4().hex,
         variables.ENV_NODE: launch.node,
         variables.ENV_STANDBY: "1" if launch.standby else "",
+        variables.ENV_PATIENCE: f"{launch.patience:g}",
         variables.ENV_NAMESPACE: launch.namespace,
         variables.ENV_TOKEN: launch.token,
         variables.ENV_PARAMETERS: json.dumps(json_values(launch.parameters)),

@@ -292,7 +292,8 @@ def outcome(outcome: Outcome) -> RenderableType:
             swaps.add_row(swap.topic, swap.subscriber, *measurements(swap))
         lines.append(swaps)
     lines += [Text(f"{words}.", style="yellow") for words in outcome.own_state.values()]
-    lines += [Text(f"{each.words[0].upper()}{each.words[1:]}.") for each in outcome.moved.values()]
+    counted = [*(each.words for each in outcome.moved.values()), *(each.words for each in outcome.goals.values())]
+    lines += [Text(f"{words[0].upper()}{words[1:]}.") for words in counted]
     late = sorted(outcome.late.items())
     lines += [
         Text(f"The first slot of {name} was {seconds(spent)} late; its state moved before.") for name, spent in late

@@ -330,7 +330,7 @@ class RelayComponent:
             None,
             files,
             context.diagnostics,
-            lifecycle,
+            lifecycle=lifecycle,
         )
         self.program.watch(agent.stop)
 

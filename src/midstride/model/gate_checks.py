@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 from midstride.model.component import DEFAULT_STOP, ComponentSpec, value_fits, value_kind
 from midstride.model.diagnostics import Problem, SubjectPath
@@ -152,11 +153,11 @@ def _is_intra_process(component: ComponentSpec) -> bool:
 def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     """Yield what is stated of the process and the endpoints of a program that does not use Midstride's API."""
     name = component.name
-    if component.stop is not None and component.gate is None:
+    if component.gate is None and component.stop_times != replace(DEFAULT_STOP, patience=component.stop_times.patience):
         message = f"{name} states how its process is ended, but has no gate: it uses Midstride's API, and ends in order"
-        help = "omit `stop`; `on_stop(…, timeout=…)` in its code says how long that may take"
+        help = "state no more than `stop patience`; `on_stop(…, timeout=…)` in its code says how long the rest may take"
         yield Problem(_CODE, (*path, "stop_seconds"), message, help)
-    elif component.stop is not None and not component.loads_library:
+    elif component.stop is not None and component.gate is not None and not component.loads_library:
         for key, stated, usual, what in (
             ("drain", component.stop.drain, DEFAULT_STOP.drain, "answers requests that it has taken"),
             ("patience", component.stop.patience, DEFAULT_STOP.patience, "goes on with the goals of its ROS actions"),

@@ -2,5 +2,5 @@
 
 PUBLIC = (
     "ClockHistory DiagnosticEntry GoalAnswers HeldParameter Host MessageInfo NodeParameters PassableRequest "
-    "ProcessContext ProgramFiles RequestAdmission find installed legible loaded_program process_context"
+    "ProcessContext ProgramFiles RequestAdmission Turn find installed legible loaded_program process_context"
 )

@@ -18,6 +18,7 @@ from typing import Any, Final, cast
 
 from midstride.codec.parameter import from_json
 from midstride.errors import NodeError
+from midstride.model.component import DEFAULT_STOP
 from midstride.node.component_host import HostFactory
 from midstride.node.loaded_program import process_started
 from midstride.wire.environment import (
@@ -27,6 +28,7 @@ from midstride.wire.environment import (
     ENV_NAMESPACE,
     ENV_NODE,
     ENV_PARAMETERS,
+    ENV_PATIENCE,
     ENV_SET_PARAMETERS,
     ENV_STANDBY,
     ENV_TOKEN,
@@ -43,7 +45,8 @@ class ProcessContext:
 
     ``set_parameters`` are values that were set while its predecessor ran, ``parameters`` those that are declared.
     ``node`` is the name of the ROS node, None where that is the instance's. ``standby``: another instance answers
-    requests to the node's services. ``diagnostics``: it publishes on ``/diagnostics``.
+    requests to the node's services. ``patience``: for how long its goals go on once another one takes new ones (s).
+    ``diagnostics``: it publishes on ``/diagnostics``.
     """
 
     factory: HostFactory | None = None
@@ -56,6 +59,7 @@ class ProcessContext:
     pid: int | None = None
     node: str | None = None
     standby: bool = False
+    patience: float = DEFAULT_STOP.patience
     diagnostics: bool = True
     # What it has imported, and when it started (unix ns).
     modules: Mapping[str, Any] = field(default_factory=lambda: sys.modules)
@@ -79,6 +83,7 @@ def find() -> ProcessContext:
         arguments=tuple(sys.argv[1:]),
         node=os.environ.get(ENV_NODE) or None,
         standby=bool(os.environ.get(ENV_STANDBY)),
+        patience=float(os.environ.get(ENV_PATIENCE) or DEFAULT_STOP.patience),
         diagnostics=os.environ.get(ENV_DIAGNOSTICS) != "0",
         started=process_started(),
     )

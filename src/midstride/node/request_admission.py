@@ -8,15 +8,22 @@ state of the one that answers moves to the other, neither answers, and both hold
 A client that has not discovered the successor yet sends its requests to the predecessor alone, which no longer handles
 them: what it has held for a while it passes on to the successor, if that has not received it, and it returns the
 response.
+
+What is asked about a goal of a ROS action is handled by the instance that has accepted the goal, whether or not that
+answers all else.
 """
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from enum import Enum
+from typing import Final, NamedTuple, TypeAlias
+
+from midstride.node.accepted_goals import Goals
 
 # For how long (s) a request is held while admission is closed, and how many at most: a predecessor that answers has
 # done so by then.
@@ -44,6 +51,29 @@ class PassableRequest:
 PassedHandler: TypeAlias = Callable[[str, bytes, "Callable[[bytes | None], object]"], None]
 
 
+class Turn(Enum):
+    """What an instance does with a request about goals; as ``turn_of`` in foreign/goals.h.
+
+    ADD: it cancels its own goals, and leaves the list of them for the instance that answers.
+    """
+
+    WAIT = 0
+    ANSWER = 1
+    ADD = 2
+
+
+class _Held(NamedTuple):
+    """A request that is held since ``since`` (steady ns). ``asks_for``: the goal that it asks for; ``about``: the one
+    that it is about, empty where that is many. None: none."""
+
+    request: str
+    since: int
+    handle: Callable[[], object]
+    passable: PassableRequest | None = None
+    asks_for: str | None = None
+    about: str | None = None
+
+
 class RequestAdmission:
     """Open, paused or closed. ``steady`` is the steady clock (ns). May be used on any thread: services run on two.
 
@@ -54,21 +84,32 @@ class RequestAdmission:
         self.is_open = is_open
         self._steady = steady
         self._lock = threading.Lock()
-        # By request, in order of arrival: when it was handled, or when it came and how to handle it.
+        # In order of arrival, when each request was handled; and those that are held. Those about goals may have equal
+        # identities, so they are held under another name.
         self._handled: OrderedDict[str, int] = OrderedDict()
-        self._held: OrderedDict[str, tuple[int, Callable[[], object], PassableRequest | None]] = OrderedDict()
+        self._held: OrderedDict[str, _Held] = OrderedDict()
+        self._names = itertools.count()
+        self.goals = Goals()
+        # By goal of the predecessor, as long as that answers for it: how to handle the requests about it.
+        self._left: dict[str, list[Callable[[], object]]] = {}
         self.passed_handlers: dict[str, PassedHandler] = {}  # by the full name of the service
-        self._unfinished: set[str] = set()
+        self._unfinished: dict[str, str | None] = {}  # with the goals that they ask for
         self._answered: int | None = None  # when the last request was handled to the end
         self._paused = False
         self.yields = 0
 
-    def admit(self, request: str, later: Callable[[], object], passable: PassableRequest | None = None) -> bool:
+    def admit(
+        self,
+        request: str,
+        later: Callable[[], object],
+        passable: PassableRequest | None = None,
+        asks_for: str | None = None,
+    ) -> bool:
         """Whether to handle ``request`` now. Else ``later`` is called if admission opens before a peer has handled it.
 
         ``passable``: how it is passed on to a successor that has not received it; None where it cannot be.
-        ``request`` identifies it: the same for every server that receives it, and unique among all requests. Call
-        :meth:`finished` once it has been handled, now or later.
+        ``asks_for``: the goal that it asks for. ``request`` identifies it: the same for every server that receives it,
+        and unique among all requests. Call :meth:`finished` once it has been handled, now or later.
         """
         now = self._steady()
         with self._lock:
@@ -76,17 +117,62 @@ class RequestAdmission:
                 return False
             if self.is_open:
                 self._handled[request] = now
-                self._unfinished.add(request)
+                self._unfinished[request] = asks_for
             else:
-                self._held[request] = now, later, passable
+                self._held[request] = _Held(request, now, later, passable, asks_for)
             self._forget_old(now)
             return self.is_open
 
-    def finished(self, request: str) -> None:
-        """``request`` has been handled to the end, or its code has raised."""
+    def turn(self, request: str, about: str, later: Callable[[], object]) -> Turn:
+        """Whose turn it is with a request about the goal ``about``, or, where that is empty, to cancel many goals.
+
+        Where this instance waits, ``later`` is called once it may be its turn; it then asks again. ``request``
+        identifies it, as for :meth:`admit`, but those of two clients may have one identity. After ANSWER, call
+        :meth:`finished` once it has been handled.
+        """
+        now = self._steady()
         with self._lock:
-            self._unfinished.discard(request)
-            self._answered = self._steady()
+            if about and self.goals.has(about):
+                return Turn.ANSWER
+            if about in self._left:
+                self._left[about].append(later)
+                return Turn.WAIT
+            if self.is_open:
+                self._handled[request] = now
+                self._unfinished[request] = None
+                return Turn.ANSWER
+            if not (about or self._paused) and self.goals.has_any:
+                return Turn.ADD
+            self._held[f"{request} {next(self._names)}"] = _Held(request, now, later, about=about)
+            self._forget_old(now)
+            return Turn.WAIT
+
+    @property
+    def predecessor_has_goals(self) -> bool:
+        """Return whether the predecessor still answers for goals that it has accepted."""
+        return bool(self._left)
+
+    def predecessor_ended(self, results: Mapping[str, bytes] | None) -> None:
+        """Answer from now on what is asked about the goals of the predecessor.
+
+        ``results``: those that no client has fetched, by goal; what is held about others it has answered. None: it has
+        ended without a word, and its goals are not known any more.
+        """
+        with self._lock:
+            left, self._left = self._left, {}
+            if results is not None:
+                self.goals.keep(results)
+        for goal, waiting in left.items():
+            if results is None or goal in results:
+                for handle in waiting:
+                    handle()
+
+    def finished(self, request: str) -> None:
+        """``request`` has been handled to the end, or its code has raised. One about a goal of its own does not count."""
+        with self._lock:
+            if request in self._unfinished:
+                del self._unfinished[request]
+                self._answered = self._steady()
 
     def answered_within(self, seconds: float) -> bool:
         """Return whether a request was handled to the end within the last ``seconds``."""
@@ -108,9 +194,9 @@ class RequestAdmission:
         before = self._steady() - int(held_for * 1e9)
         with self._lock:
             return {
-                request: passable
-                for request, (since, _, passable) in self._held.items()
-                if passable is not None and since <= before
+                request: held.passable
+                for request, held in self._held.items()
+                if held.passable is not None and held.since <= before
             }
 
     def give_up(self, requests: Iterable[str]) -> None:
@@ -127,7 +213,7 @@ class RequestAdmission:
         with self._lock:
             if self._held.pop(request, None) is None:
                 return False
-            self._unfinished.add(request)
+            self._unfinished[request] = None
             return True
 
     def missing(self, requests: Iterable[str]) -> list[str]:
@@ -144,14 +230,14 @@ class RequestAdmission:
             if request in self._handled or request in self._held:
                 return False
             self._handled[request] = self._steady()
-            self._unfinished.add(request)
+            self._unfinished[request] = None
             return True
 
     def _forget_old(self, now: int) -> None:
         handled, held = self._handled, self._held
         while handled and (len(handled) > REMEMBERED or now - next(iter(handled.values())) > REMEMBER * 1e9):
             handled.popitem(last=False)
-        while held and (len(held) > HELD or (not self._paused and now - next(iter(held.values()))[0] > HOLD * 1e9)):
+        while held and (len(held) > HELD or (not self._paused and now - next(iter(held.values())).since > HOLD * 1e9)):
             held.popitem(last=False)
 
     def pause(self) -> bool:
@@ -166,26 +252,56 @@ class RequestAdmission:
         with self._lock:
             self.yields += 1
             self.is_open = self._paused = False
-            return list(self._handled)
+            due = self._about_goals()
+            handled = list(self._handled)
+        for held in due:
+            held.handle()
+        return handled
 
-    def open(self, handled: Iterable[str] | None) -> None:
+    def give_goals(self) -> list[str]:
+        """Return the goals that stay here once admission is closed, also those whose requests are being handled."""
+        with self._lock:
+            return self.goals.give(goal for goal in self._unfinished.values() if goal is not None)
+
+    def leave(self) -> None:
+        """Hold back no longer what is asked about goals that were accepted here: the state has moved without them."""
+        with self._lock:
+            self._paused = False
+            due = self._about_goals()
+        for held in due:
+            held.handle()
+
+    def _about_goals(self) -> list[_Held]:
+        """Take what is held about goals: whose turn it is is asked again. With the lock."""
+        due = [name for name, held in self._held.items() if held.about is not None]
+        return [self._held.pop(name) for name in due]
+
+    def open(self, handled: Iterable[str] | None, goals: Iterable[str] = ()) -> None:
         """Handle requests from now on, and those held that are not among ``handled``.
 
         ``handled`` None: the predecessor has exited without a reply, so what is held may have been handled; it is
-        dropped.
+        dropped, but for what is about goals, which are not known any more. ``goals``: those that the predecessor
+        answers for until it ends.
         """
         now = self._steady()
         with self._lock:
             self._forget_old(now)
-            due = {} if handled is None else {name: later for name, (_, later, _) in self._held.items()}
+            known = dict.fromkeys(handled or ())
+            due = [
+                held
+                for held in self._held.values()
+                if (held.about is not None if handled is None else held.request not in known)
+            ]
             self._held.clear()
-            for request in handled or ():
-                due.pop(request, None)
+            self._left.update({goal: [] for goal in goals if goal not in self._left})
+            for request in known:
                 self._handled[request] = now
                 self._handled.move_to_end(request)
-            self._handled.update(dict.fromkeys(due, now))
-            self._unfinished.update(due)
+            for held in due:
+                if held.about is None:
+                    self._handled[held.request] = now
+                    self._unfinished[held.request] = held.asks_for
             self._forget_old(now)
             self.is_open, self._paused = True, False
-        for later in due.values():
-            later()
+        for held in due:
+            held.handle()

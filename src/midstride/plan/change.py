@@ -107,7 +107,7 @@ class Change:
             found = measured
         else:
             found = Estimate.exactly(timing.get(kind, DEFAULT_SECONDS[kind]))
-        if kind == "remove" and component is not None and component.stop is not None:
+        if kind == "remove" and component is not None and component.stop is not None and component.gate is not None:
             return found.at_most(component.stop.longest + (component.stop.drain if component.loads_library else 0.0))
         return found.plus(handover_seconds(timing, "watch_after")) if kind in ("handover", "set") else found
 

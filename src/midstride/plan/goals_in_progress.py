@@ -1,6 +1,6 @@
-"""How long the removal of a node without Midstride's API may take that goes on with the goals of its ROS actions.
+"""How long the removal of a node may take that goes on with the goals of its ROS actions.
 
-Its successor runs beside it meanwhile (docs/protocols/services.md#goals-of-nodes-without-the-api).
+Its successor runs beside it meanwhile (docs/protocols/services.md).
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ def with_time_for_goals(plan: Plan, serving: Collection[str] = ()) -> Plan:
             case Remove(name) if (new := change.replaced.get(name)) in created:
                 old = change.component_of(name)
                 serves = name in serving or any(old.kind_of(port) == "action" for port in old.outputs)
-                if serves and old.preloads and change.component_of(new).preloads:
+                after = change.component_of(new)
+                one_kind = (old.preloads and after.preloads) or old.gate is after.gate is None
+                if serves and one_kind:
                     found = change.estimate_of(step.action).at_most(_longest(old))
                     steps[index] = replace(step, between=found.between)
     return replace(plan, steps=tuple(steps))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 from midstride.errors import BackendError
-from midstride.model.component import ComponentSpec, ParameterSection, StopTimes
+from midstride.model.component import DEFAULT_STOP, ComponentSpec, ParameterSection, StopTimes
 from midstride.model.contract import Predicate
 from midstride.model.load_words import LoadWords
 from midstride.model.wording import exception_in
@@ -38,8 +38,9 @@ class Launch:
 
     ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
     ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
-    ``standby``: another instance of that node answers requests until the new one is sent ``answer``. ``predecessor``:
-    the instance that it is to replace, which runs until then; empty where there is none.
+    ``standby``: another instance of that node answers requests until the new one is sent ``answer``. ``patience``: for
+    how long its goals go on once its own successor takes new ones (s). ``predecessor``: the instance that it is to
+    replace, which runs until then; empty where there is none.
     ``package``: the program is an executable of that package, where the platform has such.
     ``prefix``: words before the program; ``environment``: variables that its process has besides, None for one that it
     does not inherit.
@@ -58,6 +59,7 @@ class Launch:
     set_parameters: dict[str, object] = field(default_factory=dict)
     node: str = ""
     standby: bool = False
+    patience: float = DEFAULT_STOP.patience
     foreign: ComponentSpec | None = None
     topics: dict[str, str] = field(default_factory=dict)
     package: str | None = None

@@ -474,6 +474,27 @@ class ServeCommand(Command[ServedRequest], frozen=True, kw_only=True, tag="serve
     data: bytes
 
 
+class CancelledGoalsCommand(Command[Done], frozen=True, kw_only=True, tag="cancelled_goals"):
+    """From an instance that no longer answers requests to the one that does: for ``request`` I have cancelled goals.
+
+    ``response`` is what I would have responded, as the middleware serializes it.
+    """
+
+    kind = "between"
+    request: str
+    response: bytes
+
+
+class KeepResultsCommand(Command[Done], frozen=True, kw_only=True, tag="keep_results"):
+    """From an instance that ends to the one that answers requests: all my goals have ended.
+
+    ``results``: by goal, the response with the result, serialized, of those whose result no client has fetched.
+    """
+
+    kind = "between"
+    results: dict[str, bytes]
+
+
 class ResolveCutsCommand(Command[Done], frozen=True, kw_only=True, tag="resolve_cuts"):
     """From the next manager: leave no cut of an earlier one under way of which this is the ``new`` side, or the old.
 

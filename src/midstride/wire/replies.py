@@ -84,12 +84,14 @@ class FetchedState(WireValue, frozen=True, kw_only=True):
 
     That is for functionalities without an output in the cut. Of other publishers, it includes what was published until
     ``since``. ``requests``: those to the node's services that it includes; None where the old side did not answer them.
+    ``goals``: as in :class:`Yielded`.
     """
 
     state: bytes | None
     handled: dict[str, int]
     since: int
     requests: list[str] | None = None
+    goals: list[str] = []
 
 
 class StateOffer(WireValue, frozen=True, kw_only=True):
@@ -207,9 +209,13 @@ class RecordingSwitched(WireValue, frozen=True, kw_only=True):
 
 
 class Yielded(WireValue, frozen=True, kw_only=True):
-    """The requests that the component has handled lately, each as every server of the service identifies it."""
+    """The requests that the component has handled lately, each as every server of the service identifies it.
+
+    ``goals``: those of ROS actions that it has accepted, by UUID, and answers for from now on, too.
+    """
 
     handled: list[str]
+    goals: list[str] = []
 
 
 class MissingRequests(WireValue, frozen=True, kw_only=True):

@@ -158,6 +158,23 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     responses: MeasuredResponses | None = None
 
 
+class GoalCounts(WireValue, frozen=True, kw_only=True):
+    """What has become of the goals of an instance since its start: of those that it ``accepted``, so many ``ended``.
+
+    So many others ended as they were ``cancelled``. To so many requests it has answered that it does not know the goal
+    (``unknown``), which no other instance knew either.
+    """
+
+    accepted: int = 0
+    ended: int = 0
+    cancelled: int = 0
+    unknown: int = 0
+
+    @property
+    def in_progress(self) -> int:
+        return self.accepted - self.ended - self.cancelled
+
+
 class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
     ``differences``: in which way its node is not what is declared, ``undeclared``: its topics that are no ports. Only a
@@ -180,7 +197,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     ``declared`` that a ROS tool has set, or the node itself; ``own_values``: those of them that the node has set, as no
     other program has asked it to set them since its start. ``set_at``: when a request has set those of ``declared`` of
     which that is known (Unix time, s). ``unfinished``: once it ends, in which way its `on_stop`
-    has failed, or what it has left unanswered, or which goals.
+    has failed, or what it has left unanswered, or which goals. ``goals``: those of its ROS actions, None where it has
+    had none.
     """
 
     instance: str
@@ -214,6 +232,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     own_values: list[str] = []
     set_at: dict[str, float] = {}
     unfinished: str | None = None
+    goals: GoalCounts | None = None
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

@@ -345,7 +345,17 @@ class Component:
         self.instance, self.clock.host = host.instance, host
         pid = os.getpid() if context.pid is None else context.pid
         program = ProgramFiles(context.modules, context.started)
-        agent = Agent(self._parts, declaration, host, context.token, pid, standalone, program, context.diagnostics)
+        agent = Agent(
+            self._parts,
+            declaration,
+            host,
+            context.token,
+            pid,
+            standalone,
+            program,
+            context.diagnostics,
+            context.patience,
+        )
         host.run(agent.main)
 
     def _declaring(self, what: str) -> None:

@@ -202,8 +202,6 @@ class ActionServerPort(ServerPort):
         self._execute = function
         self._accepts = accepts
         self._cancels = cancels
-        # How many goals are being executed.
-        self.under_way = 0
         # Reports what the function raises, once the component runs: the functionality degrades.
         self.failed: Callable[[ServerPort, int, BaseException], object] = lambda server, entered, error: None
         self.entered: Callable[[], int] = lambda: 0
@@ -226,15 +224,12 @@ class ActionServerPort(ServerPort):
     async def execute(self, goal: Any) -> Any:
         """The result of an accepted goal. Raises what the function raises, which aborts the goal."""
         entered = self.entered()
-        self.under_way += 1
         try:
             result = self._execute(goal)
             return await result if inspect.isawaitable(result) else result
         except Exception as error:
             self.failed(self, entered, error)
             raise
-        finally:
-            self.under_way -= 1
 
 
 class ClientLink(InputLink):

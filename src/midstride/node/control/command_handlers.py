@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from midstride.codec.parameter import from_json, json_value
 from midstride.errors import BackendError, CommandRefused
-from midstride.model.component import DEFAULT_STOP, ROS_PARAMETERS, same_value
+from midstride.model.component import CANCELLING, ROS_PARAMETERS, same_value
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.author.service_ports import ActionServerPort, ServerPort
 from midstride.node.component_host import HeldParameter, Host
@@ -82,12 +82,15 @@ class CommandHandlers:
     degraded: Callable[[FunctionalityRunner], None]
     changed: Callable[[], None]
     token: Callable[[], str]
+    # For how long its goals go on once a successor takes new ones (s).
+    patience: float
 
     def __post_init__(self) -> None:
         self._runners: list[FunctionalityRunner] = []
         self._under_way = 0
         self._hold: Hold | None = None
-        self.unfinished: str | None = None  # in which way the author's `on_stop` has failed
+        # In which way the author's `on_stop` has failed, and what it has left of its goals.
+        self.unfinished: str | None = None
         self._expiry: asyncio.Task[None] | None = None  # of the hold
         before = self.parts.callbacks.before_modes
         self.reflex = Reflex(self.host, self._runners, lambda: self._under_way > 0, self.degraded, self.changed, before)
@@ -123,6 +126,8 @@ class CommandHandlers:
             commands.YieldCommand: self._handovers.answering.stop,
             commands.MissingRequestsCommand: self._handovers.answering.missing,
             commands.ServeCommand: self._handovers.answering.serve,
+            commands.CancelledGoalsCommand: self._handovers.answering.cancelled_goals,
+            commands.KeepResultsCommand: self._handovers.answering.keep_results,
             commands.PrepareStateCommand: self._handovers.prepare_state,
             commands.OfferStateCommand: self._handovers.offer_state,
             commands.FetchStateCommand: self._handovers.fetch_state,
@@ -198,10 +203,9 @@ class CommandHandlers:
         if self.parts.callbacks.stop is not None:
             try:
                 if not await self._data.drive(self.parts.callbacks.stop, timeout):
-                    self.unfinished = f"on_stop did not return within {timeout:.3g} s"
-                    self.host.logger.error(self.unfinished)
+                    self._left_unfinished(f"on_stop did not return within {timeout:.3g} s")
             except CAUGHT as error:
-                self.unfinished = legible(f"on_stop raised {type(error).__name__}: {error}").partition("\n")[0]
+                self._left_unfinished(legible(f"on_stop raised {type(error).__name__}: {error}").partition("\n")[0])
                 self.host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
             await self._attachments.close_all(0.5)
@@ -234,26 +238,45 @@ class CommandHandlers:
             await self.host.sleep(0.01)
 
     async def _finish_goals(self) -> None:
-        """Where a successor takes new goals, go on with those of ports until they have ended and sent their results."""
-        if not self._goes_on_with_goals:
-            return
-        deadline = self.host.steady() + int(DEFAULT_STOP.patience * 1e9)
-        while self._goals:
-            if self.host.steady() >= deadline:
-                words = f"{self._goals} goals had not ended within {DEFAULT_STOP.patience:g} s"
-                self.host.logger.error(f"{self.host.instance} ends, but {words}")
-                return
-            await self.host.sleep(0.01)
-        await self.host.sleep(RESPONSE_SECONDS)
+        """Where a successor takes new goals, go on with its own until they have ended; then leave their results to it.
 
-    @property
-    def _goals(self) -> int:
-        """How many goals of action servers that are ports are being executed."""
-        return sum(port.under_way for port in self.parts.services if isinstance(port, ActionServerPort))
+        What has not ended after the patience is cancelled.
+        """
+        goals, answering = self.host.admission.goals, self._handovers.answering
+        if not answering.has_successor:
+            return
+        patience, begun = self.patience, self.host.steady()
+        if not await self._goals_end(patience):
+            seconds = (self.host.steady() - begun) / 1e9
+            words = f"{_goals(goals.in_progress)} had not ended after {seconds:.0f} s (`patience`)"
+            goals.cancel()
+            if not await self._goals_end(CANCELLING):
+                words += f", and {_goals(goals.in_progress)} {CANCELLING:g} s after cancelling was asked for"
+            else:
+                words += ", and cancelling was asked for"
+            self._left_unfinished(words)
+        if lost := await answering.hand_over_results():
+            are = "result is" if lost == 1 else "results are"
+            self._left_unfinished(f"{lost} {are} lost that no client had fetched")
+        if goals.counts is not None:
+            await self.host.sleep(RESPONSE_SECONDS)
+
+    async def _goals_end(self, seconds: float) -> bool:
+        """Wait until no goal is in progress, for ``seconds`` at most; whether that is so."""
+        deadline = self.host.steady() + int(seconds * 1e9)
+        while in_progress := self.host.admission.goals.in_progress:
+            if self.host.steady() >= deadline:
+                return False
+            await self.host.sleep(0.01)
+        return not in_progress
+
+    def _left_unfinished(self, words: str) -> None:
+        self.host.logger.error(f"{self.host.instance} ends, but {words}")
+        self.unfinished = words if self.unfinished is None else f"{self.unfinished}; {words}"
 
     @property
     def _goes_on_with_goals(self) -> bool:
-        return self._goals > 0 and self._handovers.answering.has_successor
+        return self.host.admission.goals.has_any and self._handovers.answering.has_successor
 
     def _stop_calls(self) -> None:
         for parameter in self._parameters().values():
@@ -298,6 +321,7 @@ class CommandHandlers:
             declared={each.name: json_value(each.declared) for each in parameters if _is_shown(each) and each.is_set},
             keeps_state=self.parts.callbacks.export_state is not None,
             unfinished=self.unfinished,
+            goals=self.host.admission.goals.counts,
             host=THIS_HOST,
         )
 
@@ -308,7 +332,7 @@ class CommandHandlers:
         """
         callbacks = self.parts.callbacks
         requests = REQUESTS_SECONDS if self.host.admission.busy or self._handovers.answering.has_successor else 0.0
-        requests += DEFAULT_STOP.patience + RESPONSE_SECONDS if self._goes_on_with_goals else 0.0
+        requests += self.patience + 2 * CANCELLING + RESPONSE_SECONDS if self._goes_on_with_goals else 0.0
         requests += RESPONSE_SECONDS if requests or self.host.admission.answered_within(RESPONSE_SECONDS) else 0.0
         return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
 
@@ -479,6 +503,10 @@ class CommandHandlers:
             moments=moments,
             ros_sources=self.host.publishes_ros_time,
         )
+
+
+def _goals(number: int) -> str:
+    return f"{number} goal{'s' * (number != 1)}"
 
 
 class _Seen(NamedTuple):

@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
-from midstride.model.component import ComponentSpec
+from midstride.model.component import DEFAULT_STOP, ComponentSpec
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.clock_history import STILL
 from midstride.node.component_host import Host
@@ -51,7 +51,8 @@ _FOREIGN_TOKEN: Final = "the token is not that of the system that the component 
 class Agent:
     """``start_token`` is the one that the process was started with, empty where it was started by hand.
 
-    ``diagnostics``: whether it publishes on ``/diagnostics``.
+    ``diagnostics``: whether it publishes on ``/diagnostics``. ``patience``: for how long its goals go on once a
+    successor takes new ones (s).
     """
 
     parts: DeclaredParts
@@ -62,6 +63,7 @@ class Agent:
     standalone: StandaloneTopics | None
     program: ProgramFiles
     diagnostics: bool = True
+    patience: float = DEFAULT_STOP.patience
 
     def __post_init__(self) -> None:
         self._token = self.start_token
@@ -78,7 +80,7 @@ class Agent:
         )
         self._server = CommandServer(greeting, self.serve)
         self._handlers = CommandHandlers(
-            self.parts, self.host, self._revision, self._degraded, self.report_state, lambda: self._token
+            self.parts, self.host, self._revision, self._degraded, self.report_state, lambda: self._token, self.patience
         )
 
     async def main(self) -> None:
@@ -105,8 +107,8 @@ class Agent:
                 pass  # SIGTERM, SIGINT
             self._stopping.set()
             await handlers.end()
-            if handlers.unfinished is not None:
-                self._report()
+            if handlers.unfinished is not None or self.host.admission.goals.counts is not None:
+                self._report()  # for the report of the change
         finally:
             for task in tasks:
                 task.cancel()

@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
+from midstride.errors import BackendError, CallTimeout, CommandRefused, MidstrideError, Unreachable
 from midstride.node.request_admission import PASS_AFTER, PassableRequest, RequestAdmission
 from midstride.wire import commands, replies
 from midstride.wire.channel import result_of
@@ -29,6 +29,10 @@ PASS_INTERVAL: Final = 0.1
 MISSING_TIMEOUT: Final = 0.5
 # How long the response to a request that was passed on may take (s).
 SERVE_TIMEOUT: Final = 10.0
+# How often a successor looks whether the predecessor, which answers for its goals, still runs (s).
+FOLLOW_INTERVAL: Final = 0.5
+# How long handing over the results of goals may take (s): 16 MiB take less than one.
+RESULTS_TIMEOUT: Final = 3.0
 
 
 @dataclass
@@ -48,8 +52,18 @@ class Answering:
 
     async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
         if not self.admission.is_open:
-            self.admission.open(None if command.address is None else await self._yielded(command.peer, command.address))
+            found = None if command.address is None else await self._yielded(command.peer, command.address)
+            if found is None:
+                self.admission.open(None)
+            else:
+                self._open(found.handled, found.goals, command.address or "")
         return replies.Answers()
+
+    def _open(self, handled: list[str], goals: list[str], address: str) -> None:
+        """Answer from now on. The instance at ``address``, the predecessor, goes on with these ``goals``."""
+        self.admission.open(handled, goals)
+        if goals:
+            self.start(self._follow(address))
 
     def pause(self) -> bool:
         """Answer no request for now: the state is about to be exported. Whether this one answered until now."""
@@ -58,13 +72,17 @@ class Answering:
             self.changed()
         return was_open
 
-    def take_over(self, handled: list[str] | None, yields: int) -> None:
+    def take_over(self, found: replies.FetchedState | None, address: str, yields: int) -> None:
         """Answer from now on, since the state of the predecessor has arrived, unless it has asked for that again.
 
-        ``handled`` as for :meth:`RequestAdmission.open`; ``yields``: those of the admission when the transfer began.
+        ``found``: with what it has handled, and its goals; None: it has exited. ``address``: where it is. ``yields``:
+        those of the admission when the transfer began.
         """
         if self.admission.yields == yields and not self.admission.is_open:
-            self.admission.open(handled)
+            if found is None or found.requests is None:
+                self.admission.open(None)
+            else:
+                self._open(found.requests, found.goals, address)
             self.changed()
 
     async def take_back(self, peer: str, address: str, *, may_answer: bool) -> None:
@@ -76,12 +94,12 @@ class Answering:
                 await self.answer(commands.AnswerCommand(peer=peer, address=address))
         self.changed()
 
-    async def _yielded(self, peer: str, address: str) -> list[str] | None:
+    async def _yielded(self, peer: str, address: str) -> replies.Yielded | None:
         """What the predecessor has handled; None if it has exited. Raises CommandRefused if it may still answer."""
         stop = commands.YieldCommand(address=self.own_address())
         for _ in range(YIELD_ATTEMPTS):
             try:
-                return result_of(await self.call(address, stop, YIELD_TIMEOUT), stop).handled
+                return result_of(await self.call(address, stop, YIELD_TIMEOUT), stop)
             except Unreachable:
                 return None
             except CallTimeout:
@@ -95,10 +113,18 @@ class Answering:
         if command.address:
             self.pass_on_to(command.address)
         self.changed()
-        return replies.Yielded(handled=handled)
+        return replies.Yielded(handled=handled, goals=self.admission.give_goals())
+
+    def state_moved(self, address: str) -> None:
+        """The state has moved to the instance at ``address``, which answers from now on."""
+        self.admission.leave()
+        self.pass_on_to(address)
 
     def pass_on_to(self, address: str) -> None:
-        """Admission is closed, and the instance at ``address`` answers: pass on what only this one receives."""
+        """Admission is closed, and the instance at ``address`` answers: pass on what only this one receives.
+
+        It also gets what was cancelled here for a request to cancel many goals.
+        """
         if self._successor != address:
             self._successor = address
             self.start(self._pass_on(address))
@@ -118,6 +144,10 @@ class Answering:
                 self._successor = None
                 return
             await self._pass_overdue(address)
+            for request, response in self.admission.goals.lists_to_send().items():
+                cancelled = commands.CancelledGoalsCommand(request=request, response=response)
+                with contextlib.suppress(BackendError):  # it answers with its own list alone
+                    await self.call(address, cancelled, MISSING_TIMEOUT)
             await self.sleep(PASS_INTERVAL)
 
     async def _pass_overdue(self, address: str) -> None:
@@ -145,6 +175,46 @@ class Answering:
             pass  # as if the server had died: its client gets no response
         finally:
             self.admission.finished(request)
+
+    # -- goals of ROS actions ----------------------------------------------------------------------
+
+    async def _follow(self, address: str) -> None:
+        """Until the predecessor has handed over the results of its goals, or has ended without that."""
+        ping = commands.PingCommand()
+        while self.admission.predecessor_has_goals:
+            try:
+                await self.call(address, ping, FOLLOW_INTERVAL)
+            except Unreachable:
+                self.admission.predecessor_ended(None)
+            except BackendError:
+                pass  # it is busy, or stopped
+            await self.sleep(FOLLOW_INTERVAL)
+
+    async def cancelled_goals(self, command: commands.CancelledGoalsCommand) -> replies.Done:
+        """From the predecessor: what it has cancelled for a request that this instance answers."""
+        self.admission.goals.list_arrived(command.request, command.response)
+        return replies.Done()
+
+    async def keep_results(self, command: commands.KeepResultsCommand) -> replies.Done:
+        """From the predecessor: it ends, and leaves the results that no client has fetched."""
+        self.admission.predecessor_ended(command.results)
+        return replies.Done()
+
+    async def hand_over_results(self) -> int:
+        """Before this instance ends: leave the results that no client has fetched to the successor.
+
+        How many are lost, as it does not take them, is returned.
+        """
+        if (address := self._successor) is None:
+            return 0
+        keep = commands.KeepResultsCommand(results=self.admission.goals.hand_over(), timeout=RESULTS_TIMEOUT)
+        try:
+            result_of(await self.call(address, keep, RESULTS_TIMEOUT), keep)
+        except MidstrideError:
+            return len(keep.results)
+        return 0
+
+    # -- requests that the predecessor passes on -----------------------------------------------------
 
     async def missing(self, command: commands.MissingRequestsCommand) -> replies.MissingRequests:
         """From the predecessor. Until admission is open they may yet be handled there."""

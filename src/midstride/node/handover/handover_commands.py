@@ -319,7 +319,7 @@ class HandoverCommands:
             def request(command: Command[Any], timeout: float) -> Awaitable[Reply]:
                 return self.call(address, command, timeout)
 
-            state = StateImport(transfer, self.hooks, self.answering, self.host, self.runners, peer, request)
+            state = StateImport(transfer, self.hooks, self.answering, self.host, self.runners, peer, address, request)
             self._imports = {transfer.id: state}
         return self._imports[transfer.id]
 

@@ -228,8 +228,14 @@ class StateExport(_Transfer):
         await self._decided.wait()
         if self.because is not None:
             raise CommandRefused(self.because)
-        requests = self.answering.admission.handled if self._answered else None
-        return replies.FetchedState(state=self._state, handled=self._handled, since=self._since, requests=requests)
+        admission = self.answering.admission
+        return replies.FetchedState(
+            state=self._state,
+            handled=self._handled,
+            since=self._since,
+            requests=admission.handled if self._answered else None,
+            goals=admission.give_goals() if self._answered else [],
+        )
 
     def importing(self, done: bool) -> replies.Confirmed:
         if not self._resumed:
@@ -237,7 +243,7 @@ class StateExport(_Transfer):
             if done and not self._imported:
                 self._imported = True
                 if self._answered:
-                    self.answering.pass_on_to(self.transfer.address)
+                    self.answering.state_moved(self.transfer.address)
         return replies.Confirmed(resumed=self._resumed)
 
     def end(self, cut: object, resumed: bool) -> None:
@@ -263,9 +269,13 @@ class StateExport(_Transfer):
 
 @dataclass(eq=False)
 class StateImport(_Transfer):
-    """The new side. ``request`` sends a command to ``peer``. ``problem``: why the state has not been imported."""
+    """The new side. ``request`` sends a command to ``peer``, which is at ``address``.
+
+    ``problem``: why the state has not been imported.
+    """
 
     peer: str
+    address: str
     request: Callable[[Command[Any], float], Awaitable[Reply]]
     problem: str | None = field(default=None, init=False)
     # Whether it cannot take over; without its peer, or where the state is not required, it continues with its own.
@@ -311,7 +321,7 @@ class StateImport(_Transfer):
         except CommandRefused as error:
             await self._decide(str(error), self.transfer.required)
         except Unreachable:
-            self.answering.take_over(None, self._yields)
+            self.answering.take_over(None, self.address, self._yields)
             await self._decide(f"{self.peer} exited before it had exported its state", False)
         else:
             await self._decide(None, False)
@@ -382,7 +392,7 @@ class StateImport(_Transfer):
         finished.result()
         # An old side that does not reply may still answer requests: then the manager has it asked once more.
         if await self._report(done=True) and fetched.requests is not None:
-            self.answering.take_over(fetched.requests, self._yields)
+            self.answering.take_over(fetched, self.address, self._yields)
 
     async def _import_quietly(self, state: bytes) -> None:
         await self._quiet()

@@ -45,6 +45,7 @@ from midstride.runtime.change.change_permission import NO_OVERRIDE, ChangePermis
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
+from midstride.runtime.change.goal_tallies import goal_tallies
 from midstride.runtime.change.lost_endpoints import answered_in_turn, lost_endpoints, with_goals
 from midstride.runtime.change.managed_nodes import require_unmanaged
 from midstride.runtime.change.other_nodes_losses import (
@@ -158,7 +159,7 @@ class ChangeSession:
         in_turn = answered_in_turn(plan, system.life.latest_states)
         remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks)
         states = system.life.latest_states
-        plan = with_time_for_goals(plan, with_goals(states))
+        plan = with_time_for_goals(plan, with_goals(states, self._endpoints()))
         plan = with_time_for_state(plan, {name for name, latest in states.items() if latest.state.keeps_state})
         live = system.configuration.instances_by_role
         times = with_times(plan.parameters, lambda role: system.values.set_at(next(iter(live.get(role, ())), "")))
@@ -383,6 +384,7 @@ class ChangeSession:
             swaps=swaps,
             late=driver.late,
             moved=driver.moved,
+            goals=goal_tallies(plan, states, system.life.latest_states, self.launcher.last_known),
             own_state={
                 name: words
                 for name, words in {**driver.own_state, **change.parameters.unknown}.items()

@@ -13,7 +13,7 @@ from msgspec import structs
 
 from midstride import verdicts
 from midstride.model.action import Create, Remove
-from midstride.model.component import DEFAULT_STOP, ComponentSpec
+from midstride.model.component import ComponentSpec
 from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
@@ -62,7 +62,7 @@ def _goals_of_ports(
         attached = start.attached_ports(name)
         kinds = {port: component.kind_of(port) for port in component.outputs}
         if actions := sorted(f"{ACTION}{served}" for port, served in attached if kinds.get(port.port) == "action"):
-            yield verdicts.goals_finish_at(name, actions, DEFAULT_STOP.patience)
+            yield verdicts.goals_go_on(name, actions, component.stop_times.patience)
 
 
 def unseen_endpoints(plan: Plan) -> Iterator[verdicts.Assessment]:
@@ -121,7 +121,8 @@ def what_ended(
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
     two nodes with the library in their processes, the successor goes on with each service and ROS action; where it has
-    another name, not with those below the old one. The old one goes on with the goals that it has accepted.
+    another name, not with those below the old one. The old one goes on with the goals that it has accepted, as does a
+    component with the API beside another one.
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
@@ -133,7 +134,10 @@ def what_ended(
     elif component.gate is not None and not component.once and (state is None or not state.looked):
         yield verdicts.not_looked_at(name, new)
     if goals := [f"ROS action {each.name}" for each in own if each.kind == "ROS action" and each.serves]:
-        yield verdicts.goals_end_with(name, goals, planned=planned)
+        if component.gate is not None or beside is None or beside.gate is not None:
+            yield verdicts.goals_end_with(name, goals, planned=planned)
+        elif planned:
+            yield verdicts.goals_go_on(name, goals, component.stop_times.patience)
     both = [f"service {each.name}" for each in own if each.kind == "service" and each.serves]
     if both and beside is not None and component.gate is None and beside.gate is not None:
         yield verdicts.answered_by_both(name, both, planned=planned)
@@ -182,9 +186,13 @@ def _shared(state: ComponentState) -> list[str]:
     return [each for each in state.serves if state.keeps_name or not is_private(each)]
 
 
-def with_goals(states: Mapping[str, LatestState]) -> set[str]:
-    """Return the nodes, of which ``states`` are the last reports, whose goals of ROS actions a replacement outlasts."""
-    return {name for name, latest in states.items() if shared_actions(latest.state)}
+def with_goals(states: Mapping[str, LatestState], endpoints: Mapping[str, Sequence[Endpoint]]) -> set[str]:
+    """Return the instances whose goals of ROS actions go on beside their replacement.
+
+    ``states``: their last reports; ``endpoints``: what they have besides ports.
+    """
+    own = {name for name, found in endpoints.items() if any(e.kind == "ROS action" and e.serves for e in found)}
+    return own | {name for name, latest in states.items() if shared_actions(latest.state)}
 
 
 def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:

@@ -8,7 +8,7 @@ import math
 import os
 import shlex
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -40,7 +40,7 @@ from midstride.runtime.process.registration import mismatches, unexpected_endpoi
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
 from midstride.wire.frames import Greeting, Registration
-from midstride.wire.state import ComponentState, Endpoint
+from midstride.wire.state import ComponentState, Endpoint, GoalCounts
 
 # How long a process may take to register (s), including imports of large libraries, if no other registers meanwhile.
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
@@ -74,11 +74,13 @@ def stop_times(component: ComponentSpec, asked: float = 0.0) -> StopTimes:
 class LastKnown:
     """What was known of an instance when it was ended: its last report, and what it had besides its ports.
 
-    ``endpoints``: as it has named them when it registered; a node without Midstride's API has not.
+    ``endpoints``: as it has named them when it registered; a node without Midstride's API has not. ``goals``: what had
+    become of its goals when its process ended.
     """
 
     latest: LatestState | None
     endpoints: Sequence[Endpoint] = ()
+    goals: GoalCounts | None = None
 
 
 class Launcher:
@@ -102,6 +104,7 @@ class Launcher:
         self._asked: dict[str, float] = {}  # how long these take to end, as they have said (s)
         self._to_end: set[str] = set()  # of those that start, the ones whose program is to end
         self._unfinished: dict[str, str] = {}  # in which way the `on_stop` of those that end has failed
+        self._goals: dict[str, GoalCounts] = {}  # what has become of the goals of each, as it has reported last
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
         # Called with an instance whose end was cut short (a process had to be killed, or its `on_stop` has failed), the
@@ -130,6 +133,8 @@ class Launcher:
             self._backend.reported(event)
             if event.unfinished is not None:
                 self._unfinished[event.instance] = event.unfinished
+            if event.goals is not None:
+                self._goals[event.instance] = event.goals
 
     def disconnected(self, name: str) -> None:
         """The connection of a component that was started by hand has closed."""
@@ -450,6 +455,8 @@ class Launcher:
         self._client.disconnect(name)
         self._components.pop(name, None)
         asked, unfinished = self._asked.pop(name, 0.0), self._unfinished.pop(name, None)
+        if (goals := self._goals.pop(name, None)) is not None and (known := self.last_known.get(name)) is not None:
+            self.last_known[name] = replace(known, goals=goals)
         if unfinished is not None and not killed and self.on_killed is not None:
             self.on_killed(name, asked, f"{name}: {unfinished}")
         for process in killed:

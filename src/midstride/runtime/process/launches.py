@@ -88,6 +88,7 @@ def launch_of(
         {**set_values},
         node,
         standby,
+        component.stop_times.patience,
         foreign,
         {**topics},
         package,

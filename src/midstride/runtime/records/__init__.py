@@ -2,8 +2,8 @@
 
 PUBLIC = (
     "ChangeLock ChangeRecord ChangeReport ChangeTimeline CrashedInstance DISK Database DegradedFunctionality Disk "
-    "DownReport EndpointStatus Event EventLog FencedInstance FieldStatus FunctionalityStatus History Incident "
-    "InstanceStatus Interrupted Journal JournalEntry KilledProcess LeftState LiveConfiguration Middleware "
+    "DownReport EndpointStatus Event EventLog FencedInstance FieldStatus FunctionalityStatus GoalTally History "
+    "Incident InstanceStatus Interrupted Journal JournalEntry KilledProcess LeftState LiveConfiguration Middleware "
     "ModeInterval ModeRecorder ModeSkew NewChange Observation OtherEndpoints OtherNodeStatus Outcome OutcomeKind "
     "ParameterStatus ParametersReport Phase PlannedChange PortStatus ProgramStatus Rehearsal RehearsalOrder "
     "RehearsedSeed RequirementStatus RespawnStatus RunningCommand SAME_MODE SavedInstance SavedState Service "

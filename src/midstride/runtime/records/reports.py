@@ -105,6 +105,24 @@ class StateMove(Report, frozen=True, kw_only=True):
     words: str
 
 
+class GoalTally(Report, frozen=True, kw_only=True):
+    """What became of the goals of the ROS actions of a node that was replaced, and of those that its replacement got.
+
+    As both have counted, from the beginning of the change to its report.
+    """
+
+    old: str
+    new: str
+    accepted: Annotated[int, Meta(description="in progress at the beginning, or accepted since")]
+    ended_at_old: Annotated[int, Meta(description="that succeeded or were aborted, at the replaced instance")]
+    ended_at_new: Annotated[int, Meta(description="the same, at its replacement")]
+    cancelled: Annotated[int, Meta(description="that ended as they were cancelled, at either")]
+    in_progress: Annotated[int, Meta(description="that go on at the time of the report")]
+    lost: Annotated[int, Meta(description="that had not ended when their instance did")]
+    unknown: Annotated[int, Meta(description="requests about goals that neither knew, which were answered so")]
+    words: str
+
+
 class Outcome(Report, frozen=True, kw_only=True):
     """The result of a change; `refused`: nothing was changed."""
 
@@ -125,6 +143,9 @@ class Outcome(Report, frozen=True, kw_only=True):
     ] = {}
     moved: Annotated[
         dict[str, StateMove], Meta(description="by new node without Midstride's API: the state that has moved to it")
+    ] = {}
+    goals: Annotated[
+        dict[str, GoalTally], Meta(description="by role that was replaced: what became of the goals of its ROS actions")
     ] = {}
     because: str | None = None
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []

@@ -12,6 +12,7 @@ from typing import Final
 
 from midstride import verdicts
 from midstride.errors import MidstrideError
+from midstride.model.component import CANCELLING
 from midstride.model.configuration import Instance
 from midstride.runtime.change.lost_endpoints import what_ended
 from midstride.runtime.change.managed_nodes import PLAN_LOOK, look_at_managers
@@ -56,6 +57,9 @@ class HalfDone:
         if values is not None:
             await values.carry_over()
         begun = clock.steady()
+        if stays is not None and state.goals is not None and state.goals.in_progress:
+            longest = instance.component.stop_times.patience + 3 * CANCELLING
+            self.events.add("note", verdicts.waits_for_goals(name, because, state.goals.in_progress, longest))
         try:
             await self.launcher.end(name)
         except MidstrideError as error:

@@ -8,13 +8,19 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
+from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient, ActionServer
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from midstride.node.request_admission import PassableRequest, RequestAdmission
+from midstride.node.request_admission import PassableRequest, RequestAdmission, Turn
+
+# The identity of a request to cancel goals that names none; and what stands for several goals.
+NO_GOAL: Final = bytes(16).hex()
+MANY: Final = ""
 
 
 class AdmittingNode(Node):  # type: ignore[misc]
@@ -129,29 +135,133 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
 
 
 def guard_action(server: Any, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]) -> None:
-    """Have rclpy's action ``server`` handle the requests that ``admission`` admits."""
+    """Have rclpy's action ``server`` handle the requests that ``admission`` admits, and those about its own goals."""
+    goals = admission.goals
     execute = server.execute
 
-    def identity(kind: str, entry: Any) -> str:
+    async def dispatch(kind: str, entry: Any) -> None:
+        """Handle ``entry``, or hold it: then it comes here again."""
+        if kind == "expired":  # goals of this server: that is no request
+            await execute({kind: entry})
+            for info in entry:
+                goals.expired(_uuid(info.goal_id))
+            return
         header, request = entry
-        goal = request.goal_info.goal_id if kind == "cancel" else request.goal_id
-        return f"{kind} {bytes(goal.uuid).hex()} {header.sequence_number}"
+        if kind == "goal":
+            goal = _uuid(request.goal_id)
+            identity = f"goal {goal} {header.sequence_number}"
+            if admission.admit(identity, lambda: later(partial(accept, identity, goal, entry)), asks_for=goal):
+                await accept(identity, goal, entry)
+            return
+        if kind == "result":
+            goal = _uuid(request.goal_id)
+            identity = f"result {goal} {header.sequence_number}"
+        else:
+            goal, stamp = _uuid(request.goal_info.goal_id), request.goal_info.stamp
+            identity = f"cancel {goal} {stamp.sec}.{stamp.nanosec} {header.sequence_number}"
+            if goal == NO_GOAL or stamp.sec or stamp.nanosec:
+                goal = MANY
+        match admission.turn(identity, goal, lambda: later(partial(dispatch, kind, entry))):
+            case Turn.WAIT:
+                return
+            case Turn.ADD:
+                await cancel(request, lambda response: goals.add_list(identity, serialize_message(response)))
+            case Turn.ANSWER if kind == "result":
+                await give_result(identity, goal, entry)
+            case Turn.ANSWER if goal == MANY and admission.predecessor_has_goals:
+                answer = partial(answer_cancel, identity, header, request)
+                goals.await_list(identity, lambda added: later(partial(answer, added)))
+            case Turn.ANSWER:
+                await answer_cancel(identity, header, request, None)
 
-    def admits(kind: str, entry: Any) -> bool:
-        # Expired are goals of this server: that is no request.
-        if kind == "expired":
-            return True
-        return admission.admit(identity(kind, entry), lambda: later(partial(handle, {kind: entry})))
-
-    async def handle(taken: dict[str, Any]) -> None:
+    async def accept(identity: str, goal: str, entry: Any) -> None:
         try:
-            await execute(taken)
+            await execute({"goal": entry})
+            if (result := server._result_futures.get(bytes.fromhex(goal))) is not None and not goals.has(goal):
+                goals.accepted(goal, cancel_all)
+                result.add_done_callback(partial(ended, goal))
         finally:
-            for kind, entry in taken.items():
-                if kind != "expired":
-                    admission.finished(identity(kind, entry))
+            admission.finished(identity)
+
+    def ended(goal: str, result: Any) -> None:
+        if (response := result.result()) is not None:
+            cancelled = response.status == GoalStatus.STATUS_CANCELED
+            goals.ended(goal, lambda: serialize_message(response), cancelled=cancelled)
+
+    async def give_result(identity: str, goal: str, entry: Any) -> None:
+        header, _ = entry
+        try:
+            result = server._result_futures.get(bytes.fromhex(goal))
+            if result is not None:
+                goals.fetched(goal)
+                await execute({"result": entry})
+            elif (kept := goals.kept(goal)) is not None:
+                server._handle.send_result_response(
+                    header, deserialize_message(kept, server.action_type.Impl.GetResultService.Response)
+                )
+            else:
+                goals.not_known()
+                await execute({"result": entry})
+        finally:
+            admission.finished(identity)
+
+    async def answer_cancel(identity: str, header: Any, request: Any, added: bytes | None) -> None:
+        """Cancel goals, and respond also with those that the other instance has cancelled (``added``)."""
+
+        def respond(response: Any) -> None:
+            if added is not None:
+                _add(response, deserialize_message(added, CancelGoal.Response))
+            if response.return_code == CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID:
+                goals.not_known()
+            server._handle.send_cancel_response(header, response)
+
+        try:
+            await cancel(request, respond)
+        finally:
+            admission.finished(identity)
+
+    async def cancel(request: Any, respond: Callable[[Any], object]) -> None:
+        """Do what rclpy does with a request to cancel goals, and call ``respond`` instead of sending the response."""
+        await type(server)._execute_cancel_request(_Cancelling(server, respond), (None, request))
+
+    def cancel_all() -> None:
+        later(partial(cancel, CancelGoal.Request(), lambda response: None))
 
     async def execute_admitted(taken: dict[str, Any]) -> None:
-        await handle({kind: entry for kind, entry in taken.items() if admits(kind, entry)})
+        for kind, entry in taken.items():
+            await dispatch(kind, entry)
 
     server.execute = execute_admitted
+
+
+def _uuid(goal_id: Any) -> str:
+    return bytes(goal_id.uuid).hex()
+
+
+def _add(response: Any, added: Any) -> None:
+    """Add the goals that another instance has cancelled to a response."""
+    known = {_uuid(info.goal_id) for info in response.goals_canceling}
+    more = [info for info in added.goals_canceling if _uuid(info.goal_id) not in known]
+    if more:
+        response.goals_canceling = [*response.goals_canceling, *more]
+        response.return_code = CancelGoal.Response.ERROR_NONE
+
+
+class _Cancelling:
+    """A ``server`` of rclpy as its handling of a request to cancel goals sees it: ``respond`` gets the response."""
+
+    def __init__(self, server: Any, respond: Callable[[Any], object]) -> None:
+        self._server = server
+        self._handle = _CancelHandle(server._handle, respond)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._server, name)
+
+
+class _CancelHandle:
+    def __init__(self, handle: Any, respond: Callable[[Any], object]) -> None:
+        self.process_cancel_request = handle.process_cancel_request
+        self._respond = respond
+
+    def send_cancel_response(self, header: None, response: Any) -> None:
+        self._respond(response)

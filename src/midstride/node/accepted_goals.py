@@ -1,0 +1,191 @@
+"""The goals of ROS actions that an instance has accepted, and what it answers for those of its predecessor.
+
+A goal stays with the instance that has accepted it: what is asked about it is answered there, whichever instance
+answers all else (docs/protocols/services.md). :mod:`.request_admission` says whose turn it is.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from midstride.wire.state import GoalCounts
+
+# How many bytes the results of a predecessor have at most, in all, that no client had fetched.
+KEPT_RESULTS: Final = 16 << 20
+# How long a request to cancel many goals waits for what the other instance has cancelled of its own (s).
+ADDING: Final = 1.0
+# How many such lists are remembered at most: each is asked for within ADDING.
+LISTS: Final = 16
+
+# Called with the serialized response of the other instance to a request to cancel goals; with None if there is none.
+ListTaker: TypeAlias = Callable[["bytes | None"], object]
+
+
+@dataclass
+class _Goal:
+    """A goal that was accepted here. ``cancel_all`` has the goals of its server cancelled; on any thread.
+
+    ``result``: the response with its result, serialized, once it has ended. ``fetched``: a client has asked for that.
+    """
+
+    cancel_all: Callable[[], object]
+    result: Callable[[], bytes] | None = None
+    fetched: bool = False
+
+
+class Goals:
+    """The goals of one instance, by UUID in hexadecimal. May be used on any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._own: dict[str, _Goal] = {}
+        self._kept: dict[str, bytes] = {}
+        self._handed_over = False
+        self._given: frozenset[str] = frozenset()
+        self._accepted = self._ended = self._cancelled = self._unknown = 0
+        # Requests to cancel many goals: what the other instance has cancelled, and what waits for that.
+        self._lists: dict[str, bytes] = {}
+        self._takers: dict[str, ListTaker] = {}
+        self._to_send: dict[str, bytes] = {}
+
+    # -- what becomes of its goals -----------------------------------------------------------------
+
+    def accepted(self, goal: str, cancel_all: Callable[[], object]) -> None:
+        with self._lock:
+            self._own[goal] = _Goal(cancel_all)
+            self._accepted += 1
+
+    def ended(self, goal: str, result: Callable[[], bytes], *, cancelled: bool) -> None:
+        with self._lock:
+            if (found := self._own.get(goal)) is not None:
+                found.result = result
+            self._ended += not cancelled
+            self._cancelled += cancelled
+
+    def fetched(self, goal: str) -> None:
+        """Note that a client has asked for the result of ``goal``; it gets it as soon as there is one."""
+        with self._lock:
+            if (found := self._own.get(goal)) is not None:
+                found.fetched = True
+
+    def expired(self, goal: str) -> None:
+        """Note that ROS has discarded the result of ``goal``."""
+        with self._lock:
+            self._own.pop(goal, None)
+
+    def not_known(self) -> None:
+        """Note that a request about a goal was answered that no instance knows."""
+        with self._lock:
+            self._unknown += 1
+
+    @property
+    def counts(self) -> GoalCounts | None:
+        """Return what has become of all goals so far; None where there has been none."""
+        found = GoalCounts(accepted=self._accepted, ended=self._ended, cancelled=self._cancelled, unknown=self._unknown)
+        return found if found != GoalCounts() else None
+
+    # -- whose a goal is ---------------------------------------------------------------------------
+
+    def has(self, goal: str) -> bool:
+        """Return whether requests about ``goal`` are answered here, as it was accepted here."""
+        return (goal in self._own or goal in self._given) and not self._handed_over
+
+    @property
+    def has_any(self) -> bool:
+        """Return whether there is a goal about which requests are answered here."""
+        return bool(self._own or self._given) and not self._handed_over
+
+    def give(self, asked: Iterable[str]) -> list[str]:
+        """Return the goals that stay here while another instance answers, with those that are ``asked`` for just now.
+
+        That instance leaves to this one what is asked about them, also where ROS has discarded them meanwhile.
+        """
+        with self._lock:
+            self._given = frozenset() if self._handed_over else frozenset((*self._own, *asked))
+            return sorted(self._given)
+
+    @property
+    def in_progress(self) -> int:
+        with self._lock:
+            return sum(goal.result is None for goal in self._own.values())
+
+    def cancel(self) -> None:
+        """Have all goals in progress cancelled, as a client would."""
+        with self._lock:
+            found = {id(goal.cancel_all): goal.cancel_all for goal in self._own.values() if goal.result is None}
+        for cancel_all in found.values():
+            cancel_all()
+
+    # -- results that no client has fetched --------------------------------------------------------
+
+    def hand_over(self) -> dict[str, bytes]:
+        """Answer nothing about goals from now on. Returns the results that no client has fetched, serialized.
+
+        Those that predecessors had left are among them.
+        """
+        with self._lock:
+            self._handed_over = True
+            left = {id: goal.result for id, goal in self._own.items() if goal.result is not None and not goal.fetched}
+            return {**self._kept, **{goal: result() for goal, result in left.items()}}
+
+    def keep(self, results: Mapping[str, bytes]) -> None:
+        """Keep the results that a predecessor has handed over; the oldest are given up beyond KEPT_RESULTS."""
+        with self._lock:
+            self._kept.update(results)
+            size = sum(map(len, self._kept.values()))
+            for goal in list(self._kept):
+                if size <= KEPT_RESULTS:
+                    break
+                size -= len(self._kept.pop(goal))
+
+    def kept(self, goal: str) -> bytes | None:
+        """Return the response with the result of a predecessor's goal, serialized; None where it has left none."""
+        return self._kept.get(goal)
+
+    # -- requests to cancel many goals -------------------------------------------------------------
+
+    def add_list(self, request: str, response: bytes) -> None:
+        """Leave what was cancelled here for ``request``, which the other instance answers."""
+        with self._lock:
+            self._to_send[request] = response
+
+    def lists_to_send(self) -> dict[str, bytes]:
+        """Take what :meth:`add_list` has left."""
+        with self._lock:
+            found, self._to_send = self._to_send, {}
+            return found
+
+    def list_arrived(self, request: str, response: bytes) -> None:
+        with self._lock:
+            if (taker := self._takers.pop(request, None)) is None:
+                self._lists[request] = response
+                while len(self._lists) > LISTS:
+                    del self._lists[next(iter(self._lists))]
+        if taker is not None:
+            taker(response)
+
+    def await_list(self, request: str, taker: ListTaker) -> None:
+        """Have ``taker`` called with what the other instance has cancelled for ``request``, or with None after ADDING.
+
+        It is called on any thread.
+        """
+        with self._lock:
+            response = self._lists.pop(request, None)
+            if response is None:
+                self._takers[request] = taker
+        if response is not None:
+            taker(response)
+            return
+
+        def give_up() -> None:
+            with self._lock:
+                late = self._takers.pop(request, None) is taker
+            if late:
+                taker(None)
+
+        timer = threading.Timer(ADDING, give_up)
+        timer.daemon = True
+        timer.start()

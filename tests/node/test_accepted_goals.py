@@ -1,0 +1,331 @@
+"""Goals of ROS actions across a replacement: whose turn it is with what is asked about them, and what outlasts them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Coroutine
+from functools import partial
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from midstride.backends.simulator.virtual_loop import run
+from midstride.errors import Unreachable
+from midstride.node import accepted_goals
+from midstride.node.accepted_goals import Goals
+from midstride.node.control.service_answering import FOLLOW_INTERVAL, PASS_INTERVAL, Answering
+from midstride.node.request_admission import HOLD, RequestAdmission, Turn
+from midstride.wire.commands import (
+    AnswerCommand,
+    CancelledGoalsCommand,
+    Command,
+    KeepResultsCommand,
+    MissingRequestsCommand,
+    PingCommand,
+    YieldCommand,
+)
+from midstride.wire.frames import Reply, encode_value
+from midstride.wire.replies import Done
+from midstride.wire.state import GoalCounts
+
+
+class Instance:
+    """An instance of a role with a server of a ROS action, on the loop's clock. All of a role can reach each other.
+
+    ``answers``: what each request has been answered with: which instance has the goal, or what it has kept of it.
+    """
+
+    def __init__(self, name: str, role: dict[str, Instance], *, is_open: bool) -> None:
+        self.name = name
+        self.answers: dict[str, list[str]] = {}
+        self.is_gone = False
+        self._role = role
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._waiting: dict[str, list[str]] = {}  # by goal, the requests for its result
+        role[name] = self
+        clock = asyncio.get_running_loop().time
+        self.admission = RequestAdmission(lambda: int(clock() * 1e9), is_open=is_open)
+        self.answering = Answering(
+            self.admission, self.call, lambda: None, self._start, asyncio.sleep, lambda: self.name
+        )
+
+    def receives_goal(self, goal: str) -> None:
+        accept = partial(self._accept, goal)
+        if self.admission.admit(f"goal {goal}", accept, asks_for=goal):
+            accept()
+
+    def _accept(self, goal: str) -> None:
+        self.admission.goals.accepted(goal, lambda: self.ends(goal, cancelled=True))
+        self.admission.finished(f"goal {goal}")
+
+    def ends(self, goal: str, *, cancelled: bool = False) -> None:
+        result = f"{'cancelled' if cancelled else 'result'} by {self.name}"
+        self.admission.goals.ended(goal, result.encode, cancelled=cancelled)
+        for request in self._waiting.pop(goal, []):
+            self._answer(request, result)
+
+    def asks(self, request: str, goal: str) -> None:
+        """Receive the request for the result of ``goal``."""
+        if self.admission.turn(request, goal, partial(self.asks, request, goal)) is not Turn.ANSWER:
+            return
+        goals = self.admission.goals
+        if not goals.has(goal):
+            kept = goals.kept(goal)
+            self._answer(request, "unknown" if kept is None else kept.decode())
+        else:
+            goals.fetched(goal)
+            found = goals._own[goal]
+            if found.result is None:
+                self._waiting.setdefault(goal, []).append(request)
+            else:
+                self._answer(request, found.result().decode())
+        self.admission.finished(request)
+
+    def cancels_all(self, request: str) -> None:
+        """Receive a request to cancel all goals; what is cancelled is listed, not done."""
+        turn, goals = self.admission.turn(request, "", partial(self.cancels_all, request)), self.admission.goals
+        if turn is Turn.ADD:
+            goals.add_list(request, self.name.encode())
+        elif turn is Turn.ANSWER and self.admission.predecessor_has_goals:
+            goals.await_list(request, lambda added: self._answer(request, f"{self.name} and {(added or b'').decode()}"))
+        elif turn is Turn.ANSWER:
+            self._answer(request, self.name)
+        self.admission.finished(request)
+
+    def _answer(self, request: str, what: str) -> None:
+        self.answers.setdefault(request, []).append(what)
+
+    async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
+        other = self._role[address]
+        if other.is_gone:
+            raise Unreachable("it has exited")
+        handlers: dict[type[Command[Any]], Callable[[Any], Awaitable[Any]]] = {
+            YieldCommand: other.answering.stop,
+            MissingRequestsCommand: other.answering.missing,
+            CancelledGoalsCommand: other.answering.cancelled_goals,
+            KeepResultsCommand: other.answering.keep_results,
+            PingCommand: other._pong,
+        }
+        return Reply(id="1", revision=1, result=encode_value(await handlers[type(command)](command)))
+
+    async def _pong(self, command: PingCommand) -> Done:
+        return Done()
+
+    async def replaces(self, old: Instance) -> None:
+        await self.answering.answer(AnswerCommand(peer=old.name, address=old.name))
+
+    async def finishes(self) -> int:
+        """End as its process does once its goals have ended; how many results are lost."""
+        lost = await self.answering.hand_over_results()
+        self.is_gone = True
+        return lost
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.ensure_future(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+
+def with_two(scenario: Callable[[Instance, Instance], Coroutine[Any, Any, None]]) -> None:
+    async def main() -> None:
+        role: dict[str, Instance] = {}
+        await scenario(Instance("old", role, is_open=True), Instance("new", role, is_open=False))
+
+    run(main())
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.sampled_from(["old", "new"]), st.booleans()), max_size=25), st.data())
+def test_each_request_about_a_goal_is_answered_once_by_the_instance_that_has_it(
+    asked: list[tuple[int, str, bool]], data: st.DataObject
+) -> None:
+    """Goals 0 to 2 are the old instance's, 3 the new one's, 4 of none; both receive each request, in either order."""
+    change = data.draw(st.integers(0, len(asked)))
+
+    async def scenario(old: Instance, new: Instance) -> None:
+        def ask(number: int, goal: int, first: str) -> None:
+            for each in (old, new) if first == "old" else (new, old):
+                each.asks(f"result {number}", str(goal))
+
+        for goal in "012":
+            old.receives_goal(goal)
+            new.receives_goal(goal)
+        old.ends("0")
+        for number, (about, first, _) in enumerate(asked[:change]):
+            ask(number, about if about != 3 else 4, first)
+        await new.replaces(old)
+        for each in (old, new):
+            each.receives_goal("3")
+        for number, (about, first, ends) in enumerate(asked[change:], change):
+            if ends and about == 1 and old.admission.goals.in_progress == 2:
+                old.ends("1")
+            ask(number, about, first)
+        for goal in ("1", "2"):
+            if old.admission.goals._own[goal].result is None:
+                old.ends(goal)
+        new.ends("3")
+        await old.finishes()
+        await asyncio.sleep(2 * FOLLOW_INTERVAL)
+        new.asks("late", "2")
+        answered = dict(old.answers)
+        for name, found in new.answers.items():
+            answered[name] = answered.get(name, []) + found
+        late = answered.pop("late")
+        fetched = any(about == 2 for about, _, _ in asked)
+        assert late == (["unknown"] if fetched else ["result by old"])
+        expected = {0: "result by old", 1: "result by old", 2: "result by old", 3: "result by new", 4: "unknown"}
+        assert answered == {
+            f"result {number}": [expected[about if number >= change or about != 3 else 4]]
+            for number, (about, _, _) in enumerate(asked)
+        }
+
+    with_two(scenario)
+
+
+def test_goals_of_a_predecessor_that_dies_are_not_known_any_more() -> None:
+    async def scenario(old: Instance, new: Instance) -> None:
+        old.receives_goal("1")
+        await new.replaces(old)
+        new.asks("early", "1")
+        assert new.answers == {}
+        old.is_gone = True
+        await asyncio.sleep(2 * FOLLOW_INTERVAL)
+        new.asks("late", "1")
+        assert new.answers == {"early": ["unknown"], "late": ["unknown"]}
+
+    with_two(scenario)
+
+
+def test_a_request_to_cancel_all_goals_gets_one_response_with_both_lists() -> None:
+    async def scenario(old: Instance, new: Instance) -> None:
+        old.receives_goal("1")
+        await new.replaces(old)
+        for each in (old, new):
+            each.cancels_all("all")
+        new.cancels_all("other")
+        old.cancels_all("other")
+        await asyncio.sleep(2 * PASS_INTERVAL)
+        assert (old.answers, new.answers) == ({}, {"all": ["new and old"], "other": ["new and old"]})
+        old.ends("1")
+        assert not await old.finishes()
+        new.cancels_all("late")
+        assert new.answers["late"] == ["new"]
+
+    with_two(scenario)
+
+
+def test_a_list_that_does_not_come_is_not_waited_for_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accepted_goals, "ADDING", 0.0)
+    goals, found = Goals(), list[bytes | None]()
+    goals.await_list("1", found.append)
+    deadline = asyncio.new_event_loop()
+    try:
+        deadline.run_until_complete(_until(lambda: bool(found)))
+    finally:
+        deadline.close()
+    assert found == [None]
+    goals.list_arrived("1", b"late")
+    goals.await_list("1", found.append)
+    assert found == [None, b"late"]
+
+
+async def _until(condition: Callable[[], bool]) -> None:
+    while not condition():
+        await asyncio.sleep(0.001)
+
+
+def test_results_outlast_several_instances_up_to_a_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def main() -> None:
+        role: dict[str, Instance] = {}
+        first, second, third = (Instance(name, role, is_open=name == "1") for name in "123")
+        first.receives_goal("a")
+        first.ends("a")
+        await second.replaces(first)
+        assert not await first.finishes()
+        second.receives_goal("b")
+        second.ends("b")
+        await third.replaces(second)
+        monkeypatch.setattr(accepted_goals, "KEPT_RESULTS", len("result by 1"))
+        assert not await second.finishes()
+        third.asks("1", "a")
+        third.asks("2", "b")
+        assert third.answers == {"1": ["unknown"], "2": ["result by 2"]}, "the oldest is given up"
+
+    run(main())
+
+
+def test_results_that_a_successor_does_not_take_are_counted() -> None:
+    async def scenario(old: Instance, new: Instance) -> None:
+        for goal in "12":
+            old.receives_goal(goal)
+            old.ends(goal)
+        assert await old.answering.hand_over_results() == 0, "nothing is handed over where there is no successor"
+        old.admission.goals._handed_over = False
+        await new.replaces(old)
+        old.asks("1", "1")
+        new.is_gone = True
+        assert await old.finishes() == 1
+
+    with_two(scenario)
+
+
+def test_a_goal_that_is_just_being_accepted_stays_with_the_old_instance() -> None:
+    admission = RequestAdmission(lambda: 0)
+    assert admission.admit("goal 1", lambda: None, asks_for="1")
+    admission.close()
+    assert admission.give_goals() == ["1"]
+    assert admission.turn("cancel 1", "1", lambda: None) is Turn.ANSWER
+
+
+def test_what_ros_has_discarded_is_still_answered_for_where_the_successor_leaves_it() -> None:
+    admission = RequestAdmission(lambda: 0)
+    admission.goals.accepted("1", lambda: None)
+    admission.goals.ended("1", bytes, cancelled=False)
+    admission.close()
+    assert admission.give_goals() == ["1"]
+    admission.goals.expired("1")
+    assert admission.turn("result 1", "1", lambda: None) is Turn.ANSWER
+    assert admission.goals.hand_over() == {}
+    assert admission.turn("result 1", "1", lambda: None) is Turn.WAIT
+
+
+def test_requests_of_two_clients_about_goals_may_look_the_same() -> None:
+    """The identity of a client is not in what rclpy passes: each of these is answered."""
+    admission = RequestAdmission(lambda: 0)
+    assert [admission.turn("cancel all 1", "", lambda: None) for _ in range(2)] == [Turn.ANSWER] * 2
+
+
+def test_what_waits_while_state_moves_is_asked_again_once_it_has() -> None:
+    called: list[str] = []
+    admission = RequestAdmission(lambda: 0)
+    admission.goals.accepted("1", lambda: None)
+    admission.pause()
+    assert admission.turn("cancel 1", "1", lambda: None) is Turn.ANSWER, "the goal does not move"
+    assert admission.turn("cancel all", "", lambda: called.append("all")) is Turn.WAIT
+    admission.leave()
+    assert called == ["all"]
+    assert admission.turn("cancel all", "", lambda: None) is Turn.ADD
+
+
+def test_what_is_held_about_goals_is_dropped_after_a_while() -> None:
+    time = 0.0
+    called: list[str] = []
+    admission = RequestAdmission(lambda: int(time * 1e9), is_open=False)
+    assert admission.turn("result 1", "1", lambda: called.append("1")) is Turn.WAIT
+    time = HOLD + 1
+    admission.open([])
+    assert called == []
+
+
+def test_goals_are_counted_by_what_has_become_of_them() -> None:
+    assert Goals().counts is None
+    goals, cancelled = Goals(), list[str]()
+    for goal in "123":
+        goals.accepted(goal, lambda: cancelled.append("all"))
+    goals.ended("1", bytes, cancelled=False)
+    goals.ended("2", bytes, cancelled=True)
+    goals.not_known()
+    assert goals.counts == GoalCounts(accepted=3, ended=1, cancelled=1, unknown=1)
+    goals.cancel()
+    assert goals.in_progress == 1 and len(cancelled) == 1
