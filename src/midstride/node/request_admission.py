@@ -168,7 +168,7 @@ class RequestAdmission:
                     handle()
 
     def finished(self, request: str) -> None:
-        """``request`` has been handled to the end, or its code has raised. One about a goal of its own does not count."""
+        """``request`` has been handled to the end, or its code has raised. Those about own goals do not count."""
         with self._lock:
             if request in self._unfinished:
                 del self._unfinished[request]
