@@ -23,6 +23,7 @@ SOURCE = Path(__file__).parent / "foreign" / "talker.c"
 LISTENER = SOURCE.with_name("listener.c")
 SERVER = SOURCE.with_name("server.c")
 ACTION_SERVER = SOURCE.with_name("action_server.c")
+ANSWERER = SOURCE.with_name("answerer.c")
 # What ACTION_SERVER is linked with besides.
 ACTION_LIBRARIES = (
     "rcl_action",
@@ -48,6 +49,7 @@ def baton_steps(path: Path) -> Any:
     following = ctypes.POINTER(c_uint64)
     library.midstride_enter.argtypes = [c_uint64, number, number, c_int, c_int, c_int, following]
     library.midstride_leave.argtypes, library.midstride_leave.restype = [c_uint64, c_uint64, number, c_int], c_uint64
+    library.midstride_answers_may.argtypes = [c_uint64, c_int, c_uint64, number, number]
     library.midstride_step.argtypes, library.midstride_step.restype = [c_uint64, c_int, number, number, c_int], c_uint64
     return library
 

@@ -1,5 +1,7 @@
 /* A node: `fake_node WRITER TOPIC PERIOD_NS MESSAGES`; it lives until it is ended. With `time`, it says how much processor time a message takes (ns).
- * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one.
+ * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one;
+ * the number of what it answers, where messages have one. With `timer` behind the topic, it publishes in a timer; with
+ * `pairs`, it takes two for each that it publishes; with `twice`, it publishes each two times.
  * FAKE_OTHERS in its environment is how many publishers of the topic it creates before, and removes after, its own.
  * FAKE_TOPICS is for how many further topics it creates publishers, TOPIC_0 and so on. With FAKE_SECOND, the full name of
  * another node in the process, that publishes on the topic as well, as WRITER + 1000. FAKE_NODES has the names of nodes that
@@ -25,6 +27,7 @@ int rcl_publisher_fini(void *, void *);
 int rcl_publish(const void *, const void *, void *);
 int rcl_subscription_init(void *, const void *, const void *, const char *, const void *);
 int rcl_take(const void *, void *, void *, void *);
+int rcl_timer_call(void *);
 
 static long long now(void)
 {
@@ -55,6 +58,7 @@ int main(int count, char **arguments)
   if (getenv("FAKE_NODES"))
     create_nodes(strdup(getenv("FAKE_NODES")));
   static const char type;
+  const char *way = count > 6 ? arguments[6] : "";
   void *publisher, *second_publisher, *subscription = NULL, *log;
   const char *first = "/first", *second = getenv("FAKE_SECOND"), *topics = getenv("FAKE_TOPICS");
   uint64_t message[2] = {strtoull(arguments[1], NULL, 10), 0};
@@ -86,8 +90,15 @@ int main(int count, char **arguments)
     }
     if (subscription && rcl_take(&subscription, message, NULL, NULL) != 0)
       continue;
-    message[1] = (uint64_t)number;
+    if (strcmp(way, "pairs") == 0 && rcl_take(&subscription, message, NULL, NULL) != 0)
+      continue;
+    if (strcmp(way, "timer") == 0)
+      rcl_timer_call(NULL);
+    if (!getenv("FAKE_INPUT_NS"))
+      message[1] = (uint64_t)number;
     rcl_publish(&publisher, message, NULL);
+    if (strcmp(way, "twice") == 0)
+      rcl_publish(&publisher, message, NULL);
     if (second) {
       uint64_t other[2] = {message[0] + 1000, message[1]};
       rcl_publish(&second_publisher, other, NULL);

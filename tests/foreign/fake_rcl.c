@@ -156,10 +156,37 @@ const char *rcl_subscription_get_topic_name(const struct publisher *subscription
   return subscription->topic;
 }
 
-/* There always is a message. */
-int rcl_take(const void *subscription, void *message, void *info, void *allocation)
+/* rmw_message_info_t */
+struct message_info {
+  int64_t sent, received;
+  uint64_t number, reception;
+  const char *implementation;
+  uint8_t writer[16];
+};
+
+/* There always is a message. With FAKE_INPUT_NS, there is one in each such time, which has its number. */
+int rcl_take(const void *subscription, uint64_t *message, struct message_info *info, void *allocation)
 {
-  (void)subscription, (void)message, (void)info, (void)allocation;
+  static uint64_t period, number;
+  struct timespec now;
+  (void)subscription, (void)allocation;
+  if (!getenv("FAKE_INPUT_NS"))
+    return 0;
+  period = strtoull(getenv("FAKE_INPUT_NS"), NULL, 10);
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  uint64_t last = ((uint64_t)now.tv_sec * 1000000000u + (uint64_t)now.tv_nsec) / period;
+  if (!number)
+    number = last;
+  if (number >= last)
+    return 401; /* RCL_RET_SUBSCRIPTION_TAKE_FAILED */
+  message[1] = info->number = ++number;
+  memcpy(info->writer, "a writer of them", 16);
+  return 0;
+}
+
+int rcl_timer_call(void *timer)
+{
+  (void)timer;
   return 0;
 }
 

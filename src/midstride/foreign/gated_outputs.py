@@ -53,6 +53,7 @@ class _Cut:
     own: dict[str, int] = field(default_factory=dict)  # by port, its baton before
     quiet: bool = False  # the new side takes over without a message too
     state: commands.StateTransfer | None = None
+    by_input: bool = False  # each input is answered by one of the two
 
 
 class GatedOutputs(UngatedOutputs):
@@ -347,9 +348,13 @@ class GatedOutputs(UngatedOutputs):
         baton = self._baton_of(command, old)
         own = {port: gates.baton(port) for port in gates.component.outputs}
         before = {port: int(gates.entry(port).passed) for port in ports}
-        gates.share(ports, baton)
-        cut = self._cuts[command.cut] = _Cut(command.swaps, baton, before, old, own, command.quiet)
-        at_once = command.quiet or not any(map(gates.rate, ports))
+        by_input = not command.quiet and gates.answers_as(old, ports)
+        if by_input:
+            gates.share_answers(ports, baton, old)
+        else:
+            gates.share(ports, baton)
+        cut = self._cuts[command.cut] = _Cut(command.swaps, baton, before, old, own, command.quiet, by_input=by_input)
+        at_once = command.quiet or by_input or not any(map(gates.rate, ports))
         self._node.set_links(dict.fromkeys(ports, "open"))
         gates.page.step(baton, BatonStep.NAME_SUCCESSOR, old, gates.index, at_once=at_once)
         gates.page.ring(gates.index)
@@ -423,7 +428,7 @@ class GatedOutputs(UngatedOutputs):
             return replies.CutResult(outcome="waiting")
         writes = {f"{swap.port} {swap.topic}": self._last_write(swap.port, cut) for swap in cut.swaps}
         if new:
-            return replies.CutResult(outcome="done", first=writes)
+            return replies.CutResult(outcome="done", first=writes, by_input=cut.by_input)
         return replies.CutResult(outcome="done", last=writes)
 
     async def _await_state(self, cut: _Cut, command: commands.AwaitCutCommand) -> replies.CutResult:

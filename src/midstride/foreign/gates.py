@@ -27,6 +27,8 @@ from midstride.foreign.page import (
 from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 
+# How many messages in a row must each have answered an input, for a node to count as one that answers messages.
+SEEN: Final = 2
 # For how long a writer without a rate leaves the baton to its successor (s).
 PATIENCE: Final = 2.0
 # How a serialized message begins whose numbers are so.
@@ -72,7 +74,7 @@ class Gates:
             if self.component.has_output(port):
                 entry.baton = baton
                 rate = self.rate(port)
-                entry.flags = PortFlag(0) if rate else PortFlag.KEEPS
+                entry.flags = PortFlag.ANSWERS if rate else PortFlag.KEEPS | PortFlag.ANSWERS
                 entry.half = int(min(5e5 / rate, 2**32 - 1)) if rate else 0
             else:
                 entry.gate = OPEN
@@ -108,6 +110,36 @@ class Gates:
                 self.entry(port).baton = 0
         share_baton(self.page, [(self.entry(port), self.rate(port)) for port in ports], shared)
         return shared
+
+    def share_answers(self, ports: Iterable[str], baton: int, other: int) -> None:
+        """Have ``baton``, of the node ``other`` (index), pass between two inputs: one of the two answers each."""
+        wanted = {self.entry(port).topic for port in ports}
+        for port in self.component.outputs:
+            if self.entry(port).topic not in wanted:
+                self.entry(port).baton = 0
+        for index in (other, self.index):
+            entries = [entry for entry in self.page.ports(index) if entry.kind == OUTPUT and entry.topic in wanted]
+            share_baton(self.page, [(entry, None) for entry in entries], baton, PortFlag.ANSWERS)
+
+    def answers_as(self, other: int, ports: Iterable[str]) -> bool:
+        """Return whether this node and the node ``other`` (index) have each answered the same inputs on these outputs.
+
+        One message for each, in the thread that has taken it, as far as the library in both has seen.
+        """
+        nodes = self.page.layout.nodes
+        if not nodes[other].requests or nodes[other].requests != nodes[self.index].requests:
+            return False
+        theirs = {entry.topic: entry for entry in self.page.ports(other) if entry.kind == OUTPUT}
+
+        def answers(own: PagePort) -> bool:
+            old = theirs.get(own.topic)
+            return old is not None and old.in_step >= SEEN and own.in_step >= 1 and old.answers == own.answers
+
+        return all(answers(self.entry(port)) for port in ports)
+
+    def answers_inputs(self, port: str) -> bool:
+        """Return whether each of the last messages of an output has answered one message that the node had taken."""
+        return int(self.entry(port).in_step) >= SEEN
 
     def baton(self, port: str) -> int:
         return int(self.entry(port).baton)
@@ -290,8 +322,13 @@ class Gates:
         return max(0, time.monotonic_ns() - tried) / 1e9 if tried else None
 
 
-def share_baton(page: Page, outputs: Sequence[tuple[PagePort, float | None]], baton: int) -> None:
-    """Have one baton decide for these outputs of a node, each with its rate (Hz).
+def share_baton(
+    page: Page,
+    outputs: Sequence[tuple[PagePort, float | None]],
+    baton: int,
+    besides: PortFlag = PortFlag(0),  # noqa: B008  # immutable
+) -> None:
+    """Have one baton decide for these outputs of a node, each with its rate (Hz); ``besides``: further flags of each.
 
     The baton is offered after a write of the slowest output that has a rate. Where none has one, it is offered at
     any time, and left to the successor for ``PATIENCE``.
@@ -308,5 +345,5 @@ def share_baton(page: Page, outputs: Sequence[tuple[PagePort, float | None]], ba
             offers = rate == slowest and not offering
             offering |= offers
             flags = PortFlag.RATED | (PortFlag.OFFERS if offers else PortFlag(0))
-        entry.flags = flags
+        entry.flags = flags | besides
         entry.baton = baton

@@ -290,6 +290,7 @@ class ForeignNode:
             gated=entry.gated,
             measured=self._measured(port, gates),
             fenced=self.component.has_output(port) and gates.fenced(port),
+            by_input=gates.answers_inputs(port) if self.component.has_output(port) else None,
         )
 
     def _measured(self, port: str, gates: Gates) -> Measured | None:

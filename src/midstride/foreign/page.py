@@ -19,7 +19,7 @@ from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 9
+VERSION: Final = 10
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -33,6 +33,8 @@ CLIENTS: Final = 512
 # How many goals of its ROS actions, and requests to cancel many of them that are under way.
 GOALS: Final = 256
 ADDED: Final = 4
+# Of how many pairs of an output and a writer of what it answers is the last answer known for a role.
+ANSWERED: Final = 256
 # Of how many requests that a server has answered it is known how long each took.
 LATEST: Final = 8
 
@@ -68,6 +70,8 @@ class PortFlag(IntFlag):
     KEEPS: of what is written behind the gate, the last message is kept, and published when the gate lets it pass; of a
     latched publisher, as many as its depth.
     SHUT: an input that a probe closes, as long as the lease of the page lasts.
+    ANSWERS: of what answers a message, more is kept, in case it is to be handed over between two inputs; with TIMED, it
+    is (``answers.h``).
     """
 
     RATED = 1
@@ -75,6 +79,7 @@ class PortFlag(IntFlag):
     TIMED = 4
     KEEPS = 8
     SHUT = 16
+    ANSWERS = 32
 
 
 class PagePort(ctypes.Structure):
@@ -97,7 +102,8 @@ class PagePort(ctypes.Structure):
         ("busy", c_int64),
         ("answered", c_uint32),
         ("took", c_uint32 * LATEST),
-        ("spare", c_uint32),
+        ("in_step", c_uint32),
+        ("answers", c_uint64),
         ("topic", c_char * NAME),
     ]
 
@@ -167,6 +173,18 @@ class PageAdded(ctypes.Structure):
     ]
 
 
+class PageAnswered(ctypes.Structure):
+    """Of an output of a role, and a writer of what it answers: the last answer."""
+
+    _fields_ = [
+        ("id", c_uint64),
+        ("number", c_uint64),
+        ("at", c_int64),
+        ("by", c_uint32),
+        ("spare", c_uint32),
+    ]
+
+
 class GoalState(IntEnum):
     """The states of a goal of a ROS action; ``goals.h`` has the steps."""
 
@@ -195,7 +213,7 @@ class KnownSetting(NamedTuple):
 
 
 class PageRequests(ctypes.Structure):
-    """The requests to the services of a role, whose parts are behind the place of the last port."""
+    """The requests to the services of a role, and the messages that it answers; behind the place of the last port."""
 
     _fields_ = [
         ("word", c_uint64),
@@ -206,6 +224,7 @@ class PageRequests(ctypes.Structure):
         ("clients", PageClient * CLIENTS),
         ("goals", PageGoal * GOALS),
         ("added", PageAdded * ADDED),
+        ("answered", PageAnswered * ANSWERED),
     ]
 
 

@@ -162,11 +162,13 @@ class CutResult(WireValue, frozen=True, kw_only=True):
 
     Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
     ``because``: what was wrong with the transfer of state; ``moved``: what has moved, of nodes without the API.
+    ``by_input``: both answer messages, and each message is answered by one of them.
     """
 
     outcome: CutOutcome
     because: str | None = None
     moved: MovedState | None = None
+    by_input: bool = False
     last: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
     first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
 

@@ -146,6 +146,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     ``inactive``: for how long in all, at most (s), an output of a lifecycle node that nothing else gates was silent
     since it was first handed to this one, because no node that writes it was active; None for any other.
     ``responses``: of a server, or of a client, where a bound is stated and something measures it.
+    ``by_input``: of an output of a node without the API, whether each of its last messages has answered one that the
+    node had taken; None where nothing sees that.
     """
 
     gate: GateState | None
@@ -156,6 +158,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     fenced: bool = False
     inactive: float | None = None
     responses: MeasuredResponses | None = None
+    by_input: bool | None = None
 
 
 class GoalCounts(WireValue, frozen=True, kw_only=True):

@@ -9,7 +9,7 @@
 
 #include <stdint.h>
 
-enum { RATED = 1, OFFERS = 2, TIMED = 4, KEEPS = 8, SHUT = 16 }; /* of a port: flags, see below */
+enum { RATED = 1, OFFERS = 2, TIMED = 4, KEEPS = 8, SHUT = 16, ANSWERS = 32 }; /* of a port: flags, see below */
 
 /* -- the word ------------------------------------------------------------------------------------------------------
  *
@@ -51,7 +51,7 @@ enum verdict { PASS, HOLD_BACK, SKIP, ASK, BUSY };
  * RATED: the port has a rate, so its writes are slots, but for one that comes sooner than half a period after the baton
  * was offered (not `waited`): a writer that was late catches up, and leaves its successor no time. TIMED: no port that
  * shares the baton has one; `waited` is whether `patience` is over, or was before a message on which the baton was
- * offered. SHUT: an input that a probe closes, as long as the lease of the page lasts. */
+ * offered. SHUT: an input that a probe closes, as long as the lease of the page lasts. ANSWERS: in answers.h. */
 static inline enum verdict baton_enter(uint64_t word, unsigned me, unsigned flags, int waited, int collided, int dead,
                                        uint64_t *next)
 {

@@ -63,15 +63,7 @@ bool answers(struct requests *requests, const struct entry *entry)
 
 uint64_t client_key(const struct request_id *id)
 {
-  uint64_t parts[2], key = 0;
-  memcpy(parts, id->client, sizeof parts);
-  for (unsigned part = 0; part < 2; part++) { /* SplitMix64 */
-    key += parts[part] + UINT64_C(0x9e3779b97f4a7c15);
-    key = (key ^ key >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
-    key = (key ^ key >> 27) * UINT64_C(0x94d049bb133111eb);
-    key ^= key >> 31;
-  }
-  return key ? key : 1;
+  return key_of(id->client, sizeof id->client);
 }
 
 /* Have the other processes wait, or go on. The kernel releases the lock of one that dies; one that is stopped while it has

@@ -177,7 +177,14 @@ bool add_entry(const void *endpoint, const void *owner, const char *topic, uint3
   entry->kept = NULL;
   entry->kept_end = &entry->kept;
   entry->keeping = 0;
-  entry->most_kept = kind == OUTPUT ? most_kept(endpoint) : 0;
+  entry->kept_bytes = 0;
+  bool known = kind == OUTPUT && real_rcl_publisher_get_actual_qos();
+  const struct qos *qos = known ? real_rcl_publisher_get_actual_qos()(endpoint) : NULL;
+  entry->most_kept = kind == OUTPUT ? most_kept(qos) : 0;
+  entry->latched = is_latched(qos);
+  entry->key = key_of(topic, strlen(topic));
+  memset((void *)entry->outputs, 0, sizeof entry->outputs);
+  atomic_store(&entry->open, 0);
   entry->owner = owner;
   entry->held = NULL;
   entry->end = &entry->held;
@@ -204,7 +211,6 @@ void remove_entry(const void *endpoint)
   pthread_mutex_lock(&lock);
   atomic_store_explicit(&entry->endpoint, REMOVED, memory_order_release);
   atomic_fetch_sub(&entry->port->endpoints, 1);
-  atomic_store(&entry->port->kept, 0);
   atomic_store(&entry->port->waiting, 0);
   atomic_store(&entry->port->busy, 0);
   discard_kept(entry, 0);

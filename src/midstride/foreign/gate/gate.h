@@ -70,6 +70,7 @@ void keep_helping(void);
 /* A message that was written behind the gate. */
 struct kept {
   struct kept *next;
+  struct input input; /* that it answers */
   serialized bytes;
 };
 
@@ -84,6 +85,9 @@ struct unanswered {
 /* Which service of a ROS action it is. */
 enum service { OTHER, SEND_GOAL, CANCEL_GOAL, GET_RESULT };
 
+/* How many outputs of a node may answer an input; one beyond them is not handed over between two inputs. */
+#define MOST_OUTPUTS 8u
+
 /* A publisher, subscription or server of this process whose topic or service is in the page. */
 struct entry {
   _Atomic(const void *) endpoint; /* NULL: free; REMOVED: removed */
@@ -93,7 +97,14 @@ struct entry {
   const void *type;
   bool overdue; /* see `enter` */
   struct kept *kept, **kept_end; /* the last messages that were written behind the gate, the oldest first */
-  unsigned keeping, most_kept;   /* how many there are, and may be */
+  unsigned keeping, most_kept;   /* how many there are, and may be; of answers to messages, more are kept */
+  size_t kept_bytes;
+  bool latched;
+  uint64_t key; /* from the name of its topic */
+  /* Of a subscription: the outputs that have answered it, NULL where there are no more; how many of its inputs each of them is
+   * still to answer. */
+  _Atomic(struct port *) outputs[MOST_OUTPUTS];
+  _Atomic uint32_t open;
   /* Of a server: */
   const void *owner; /* its node */
   struct held *held, **end; /* in the order of arrival. With `lock` */
@@ -154,11 +165,31 @@ void leave(struct pass *pass);
 /* A message has passed, or has been held back. */
 void count_call(struct port *port, bool passed);
 
+/* -- which message a call answers (inputs.c) --------------------------------------------------------------------------- */
+
+/* Mixes `bits` into `key`. */
+uint64_t mixed(uint64_t key, uint64_t bits);
+uint64_t key_of(const void *bytes, size_t length);
+/* What this thread has taken last is answered, as far as it will be: it does something else. */
+void end_input(void);
+/* It has taken a message. */
+void begin_input(struct entry *source, const struct message_info *info);
+/* The message that a call on this output answers; its number is 0 where it is none, or the output has answered it already. */
+struct input answered_by(struct entry *output);
+/* Whether another node has answered it. */
+bool is_answered(const struct entry *output, const struct input *input);
+/* Whether the last answer to its writer was that of another node, which has not ended. */
+bool another_answers(const struct entry *output, const struct input *input);
+/* This node, which has the baton, answers it. */
+void note_answer(const struct entry *output, const struct input *input);
+
 /* -- what is kept of publishers (publishers.c) ------------------------------------------------------------------------ */
 
 /* How many messages of a publisher are kept at most that were written behind the gate: of a latched one, as many as a
  * subscriber that comes later gets; else the last. */
-unsigned most_kept(const void *publisher);
+unsigned most_kept(const struct qos *qos);
+/* Whether a subscriber that comes later gets messages of it. */
+bool is_latched(const struct qos *qos);
 /* Keep at most so many of the messages that are kept, the last ones. With `lock`. */
 void discard_kept(struct entry *entry, unsigned remaining);
 /* Publish what is kept, in its order, if it may be published now; or forget it, where nothing is to be kept any more. With

@@ -120,3 +120,9 @@ EXPORT int midstride_requests_claim(uint64_t word, uint32_t number, uint64_t *ne
 {
   return requests_claim(word, number, next);
 }
+
+/* What answers.h says of an answer. */
+EXPORT int midstride_answers_may(uint64_t number, int timed, uint64_t last, unsigned by, unsigned me)
+{
+  return answers_may(number, timed, last, by, me);
+}

@@ -85,6 +85,11 @@ EXPORT void midstride_free(struct page *shared, unsigned index)
     if (OWNER(atomic_load(&goal->word)) == index + 1) /* the next process that is this node has none of its goals */
       atomic_store(&goal->word, atomic_load(&goal->word) >> 32 << 32);
   }
+  for (unsigned place = 0; number && number <= NODES && place < ANSWERED; place++) {
+    struct answered *answered = &requests_at(shared, number - 1)->answered[place];
+    if (atomic_load(&answered->by) == index + 1) /* nor has it given its answers */
+      atomic_store(&answered->by, 0);
+  }
   atomic_store(&shared->nodes[index].requests, 0);
   atomic_store(&shared->nodes[index].used, 0);
 }

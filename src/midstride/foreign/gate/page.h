@@ -10,6 +10,7 @@
 #ifndef MIDSTRIDE_PAGE_H
 #define MIDSTRIDE_PAGE_H
 
+#include "answers.h"
 #include "baton.h"
 #include "goals.h"
 #include "requests.h"
@@ -18,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 9 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 10 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -26,6 +27,7 @@
 #define CLIENTS 512 /* how many clients of its services are known for a role at once */
 #define GOALS 256 /* how many goals of its ROS actions are known for a role at once */
 #define ADDED 4 /* how many requests to cancel many goals can be under way at two nodes of a role at once */
+#define ANSWERED 256 /* of how many pairs of an output and a writer of what it answers is the last answer known for a role */
 #define LATEST 8 /* of how many requests that a server has answered it is known how long each took */
 #define NAME 256
 #define MARK 16 /* of the identity of an endpoint in the graph */
@@ -59,7 +61,10 @@ struct port {
   _Atomic int64_t busy;
   _Atomic uint32_t answered;     /* how many requests it has answered */
   _Atomic uint32_t took[LATEST]; /* how long the last ones took (us); that of number n is at n % LATEST, the first is 0 */
-  uint32_t spare;
+  /* Of an output: how many messages in a row, up to the last one, have each answered an input, and one of those that have
+   * arrived meanwhile; and of which inputs, a bit for each topic. */
+  _Atomic uint32_t in_step;
+  _Atomic uint64_t answers;
   char topic[NAME]; /* its full name; of a server or a client, that of the service */
 };
 
@@ -141,7 +146,16 @@ struct added {
 };
 #define WHOLE (UINT64_C(1) << 12)
 
-/* The requests to the services of a role. */
+/* Of an output of a role, and a writer of what it answers: the last answer (answers.h). */
+struct answered {
+  _Atomic uint64_t id; /* from both; 0: free */
+  _Atomic uint64_t number;
+  _Atomic int64_t at; /* when it was answered: CLOCK_MONOTONIC, ns */
+  _Atomic uint32_t by; /* index + 1 of the node */
+  uint32_t spare;
+};
+
+/* The requests to the services of a role, and the messages that it answers. */
 struct requests {
   _Atomic uint64_t word;   /* which node answers */
   _Atomic int64_t until;   /* how long the one before has for what it has taken: CLOCK_MONOTONIC, ns */
@@ -151,6 +165,7 @@ struct requests {
   struct client clients[CLIENTS];
   struct goal goals[GOALS];
   struct added added[ADDED];
+  struct answered answered[ANSWERED];
 };
 
 struct page {

@@ -83,6 +83,19 @@ struct request_info {
   struct request_id id;
 };
 
+/* rmw_message_info_t. Up to Humble, an identity has 24 bytes; what follows it is not of interest. */
+struct message_info {
+  int64_t sent;
+  int64_t received;
+  uint64_t number; /* at its writer; UNNUMBERED: the middleware does not say */
+  uint64_t reception;
+  const char *implementation;
+  uint8_t writer[16];
+  uint8_t rest[64];
+};
+/* RMW_MESSAGE_INFO_SEQUENCE_NUMBER_UNSUPPORTED */
+#define UNNUMBERED UINT64_MAX
+
 /* rcl_wait_set_t */
 struct wait_set {
   const void **subscriptions;
@@ -125,10 +138,10 @@ REAL(int, rcl_subscription_init, void *, const void *, const void *, const char 
 REAL(int, rcl_subscription_fini, void *, void *)
 REAL(const char *, rcl_subscription_get_topic_name, const void *)
 REAL(int, rcl_subscription_get_publisher_count, const void *, size_t *)
-REAL(int, rcl_take, const void *, void *, void *, void *)
+REAL(int, rcl_take, const void *, void *, struct message_info *, void *)
 REAL(int, rcl_take_sequence, const void *, size_t, void *, void *, void *)
-REAL(int, rcl_take_serialized_message, const void *, void *, void *, void *)
-REAL(int, rcl_take_loaned_message, const void *, void **, void *, void *)
+REAL(int, rcl_take_serialized_message, const void *, void *, struct message_info *, void *)
+REAL(int, rcl_take_loaned_message, const void *, void **, struct message_info *, void *)
 REAL(int, rcl_return_loaned_message_from_subscription, const void *, void *)
 REAL(int, rcl_service_init, void *, const void *, const void *, const char *, const void *)
 REAL(int, rcl_service_fini, void *, void *)
@@ -142,6 +155,10 @@ REAL(int, rcl_send_response, const void *, struct request_id *, void *)
 REAL(int, rcl_action_update_goal_state, void *, int)
 REAL(int, rcl_action_goal_handle_get_info, const void *, struct goal_info *)
 REAL(int, rcl_action_expire_goals, const void *, struct goal_info *, size_t, size_t *)
+REAL(int, rcl_take_response, const void *, struct request_id *, void *)
+REAL(int, rcl_take_response_with_info, const void *, struct request_info *, void *)
+REAL(int, rcl_timer_call, void *)
+REAL(int, rcl_timer_call_with_info, void *, void *)
 REAL(int, rcl_wait, struct wait_set *, int64_t)
 REAL(int, rcl_trigger_guard_condition, const void *)
 REAL(int, rmw_serialize, const void *, const void *, void *)

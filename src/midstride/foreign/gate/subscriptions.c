@@ -19,8 +19,9 @@ EXPORT int rcl_subscription_fini(void *subscription, void *owner)
   return real_rcl_subscription_fini()(subscription, owner);
 }
 
-/* The result of taking a message: where the gate is closed, as if there had been none. */
-static int take_result(const void *subscription, int result)
+/* The result of taking a message, which `info` is about: where the gate is closed, as if there had been none. NULL: it is not
+ * one message. */
+static int take_result(const void *subscription, int result, const struct message_info *info)
 {
   struct entry *entry = result == 0 ? find_entry(subscription) : NULL;
   if (!entry)
@@ -29,27 +30,42 @@ static int take_result(const void *subscription, int result)
   if (open && atomic_load_explicit(&entry->port->flags, memory_order_acquire) & SHUT)
     open = now_ns() >= atomic_load(&page->head.lease);
   count_call(entry->port, open);
+  if (open && info)
+    begin_input(entry, info);
   return open ? 0 : TAKE_FAILED;
 }
 
-EXPORT int rcl_take(const void *subscription, void *message, void *info, void *allocation)
+EXPORT int rcl_take(const void *subscription, void *message, struct message_info *info, void *allocation)
 {
-  return take_result(subscription, real_rcl_take()(subscription, message, info, allocation));
+  struct message_info own = {0};
+  end_input();
+  info = info ? info : &own;
+  return take_result(subscription, real_rcl_take()(subscription, message, info, allocation), info);
 }
 
 EXPORT int rcl_take_sequence(const void *subscription, size_t number, void *messages, void *infos, void *allocation)
 {
-  return take_result(subscription, real_rcl_take_sequence()(subscription, number, messages, infos, allocation));
+  end_input();
+  return take_result(subscription, real_rcl_take_sequence()(subscription, number, messages, infos, allocation), NULL);
 }
 
-EXPORT int rcl_take_serialized_message(const void *subscription, void *message, void *info, void *allocation)
+EXPORT int rcl_take_serialized_message(const void *subscription, void *message, struct message_info *info,
+                                       void *allocation)
 {
-  return take_result(subscription, real_rcl_take_serialized_message()(subscription, message, info, allocation));
+  struct message_info own = {0};
+  end_input();
+  info = info ? info : &own;
+  return take_result(subscription, real_rcl_take_serialized_message()(subscription, message, info, allocation), info);
 }
 
-EXPORT int rcl_take_loaned_message(const void *subscription, void **message, void *info, void *allocation)
+EXPORT int rcl_take_loaned_message(const void *subscription, void **message, struct message_info *info,
+                                   void *allocation)
 {
-  int result = take_result(subscription, real_rcl_take_loaned_message()(subscription, message, info, allocation));
+  struct message_info own = {0};
+  end_input();
+  info = info ? info : &own;
+  int result = real_rcl_take_loaned_message()(subscription, message, info, allocation);
+  result = take_result(subscription, result, info);
   if (result == TAKE_FAILED && *message) {
     real_rcl_return_loaned_message_from_subscription()(subscription, *message);
     *message = NULL;

@@ -42,6 +42,7 @@ static void note_busy(const void *service, int64_t since)
 /* Servers with a request that is held are ready once the node is to answer it. */
 EXPORT int rcl_wait(struct wait_set *set, int64_t timeout)
 {
+  end_input();
   if (!page || !set || !set->impl || !set->service_count)
     return real_rcl_wait()(set, timeout);
   for (size_t index = 0; index < set->service_count; index++)

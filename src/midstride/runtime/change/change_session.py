@@ -46,7 +46,7 @@ from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.goal_tallies import goal_tallies
-from midstride.runtime.change.lost_endpoints import answered_in_turn, lost_endpoints, with_goals
+from midstride.runtime.change.lost_endpoints import answered_in_turn, lost_endpoints, messages_in_turn, with_goals
 from midstride.runtime.change.managed_nodes import require_unmanaged
 from midstride.runtime.change.other_nodes_losses import (
     ending_nodes,
@@ -156,9 +156,9 @@ class ChangeSession:
             *nodes_that_will_end(plan, others),
             *(verdicts.management_not_seen(name, planned=True) for name in unseen),
         )
-        in_turn = answered_in_turn(plan, system.life.latest_states)
-        remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks)
         states = system.life.latest_states
+        in_turn = (*answered_in_turn(plan, states), *messages_in_turn(plan, states))
+        remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks)
         plan = with_time_for_goals(plan, with_goals(states, self._endpoints()))
         plan = with_time_for_state(plan, {name for name, latest in states.items() if latest.state.keeps_state})
         live = system.configuration.instances_by_role

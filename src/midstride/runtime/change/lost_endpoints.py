@@ -213,6 +213,37 @@ def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[
             )
 
 
+def messages_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:
+    """How the messages that a plain node answers are shared with its replacement, in words.
+
+    ``states``: the last reports of the nodes that ``plan`` removes.
+    """
+    for old, new in plan.change.replaced.items():
+        before, after = plan.change.component_of(old), plan.change.component_of(new)
+        latest = states.get(old)
+        if latest is None or not (before.preloads and after.preloads):
+            continue
+        links = [
+            link
+            for port, attached in latest.state.ports.items()
+            if before.has_output(port) and (owner := before.find_owner(port)) is not None and owner.inputs
+            for link in attached.values()
+            if link.by_input is not None and link.count
+        ]
+        if not links:
+            continue
+        if all(link.by_input for link in links):
+            yield (
+                f"each message that {old} answers is answered by one of {old} and {new}, if {new} is seen to answer "
+                "each as well, behind its gate"
+            )
+        else:
+            yield (
+                f"a message may be answered by both {old} and {new}, or by neither: {old} is not seen to publish one "
+                "message for each that it takes, in the thread that has taken it"
+            )
+
+
 def two_writers(
     role: str, known: LastKnown, old: ComponentSpec, new: ComponentSpec, together: float | None = None
 ) -> Iterator[verdicts.Assessment]:

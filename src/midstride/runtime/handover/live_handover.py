@@ -429,6 +429,9 @@ class LiveHandover:
             if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":
                 raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
             self.states.ended(cut, incoming)
+            if incoming.by_input:
+                words = f"{cut.new} took over from {cut.old} between two messages: each was answered by one of them"
+                self.events.add("note", words)
             if because is not None and cut.arbiter.exchange:
                 self.events.add("note", f"{cut.old} was deactivated before {cut.new} was activated: {because}")
             for swap in cut.swaps:
