@@ -6,7 +6,8 @@ and replaces the component of ``source`` by the other one. The manager is killed
 NUMBER-th call OP of that change, or just after the NUMBER-th such call was carried out: one that is refused, as a cut
 whose moment has passed, changes nothing, and is made again. OP ``write``: the NUMBER-th durable write. OP
 ``node_export_state``, ``node_import_state`` or ``node_set_parameters``: the NUMBER-th request to that service of a node
-without the API. Each call and each write is printed, and what the manager has found in the beginning.
+without the API. Each call and each write is printed, what the manager has found in the beginning, and what it has noted
+in the end.
 """
 
 from __future__ import annotations
@@ -152,6 +153,9 @@ async def main(folder: Path, task: str, op: str = "", number: str = "0", when: s
             outcome = await manager.change(PlanRequest(replace=(("source", other),)))
             print(outcome.outcome, outcome.because)
     finally:
+        for event in manager.log():
+            if event.kind in ("note", "killed", "gone"):
+                print("noted", event.words, flush=True)
         await manager.close()
     return 0
 

@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
@@ -32,6 +33,7 @@ from midstride.runtime.records.measure import Observation, SwapReport, report
 from midstride.runtime.watch import subscriber_recording
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command, CutInCommand
+from midstride.wire.environment import ENV_INSTANCE
 from midstride.wire.replies import Receipt
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,6 +45,8 @@ PERIOD = 0.02
 QUEUE = 1000
 # How often it is looked how long processes have waited for a processor (s): that takes 2 ms.
 LOOK = 0.1
+# How often a change is made that a busy machine may give up.
+ATTEMPTS = 3
 RUN = "MIDSTRIDE_TEST_RUN"
 
 
@@ -203,6 +207,7 @@ class Starved:
     def __init__(self, *pids: int) -> None:
         self._last: dict[int, float] = {}
         self._waits: list[float] = []
+        self._looked: list[float] = [time.time()]  # one more: when the first interval began
         self.watch(*pids)
 
     def watch(self, *pids: int) -> None:
@@ -213,6 +218,7 @@ class Starved:
     def look(self) -> None:
         now = {pid: max(before, _waited(pid)) for pid, before in self._last.items()}
         self._waits.append(sum(now.values()) - sum(self._last.values()))
+        self._looked.append(time.time())
         self._last = now
 
     @contextlib.asynccontextmanager
@@ -241,9 +247,44 @@ class Starved:
         """Longer than any wait was (s), which may have ended only after a look."""
         return max(map(sum, itertools.pairwise([0.0, *self._waits, 0.0])))
 
+    def between(self, begun: float, ended: float) -> float:
+        """At least as much as they waited between two moments (s; both since the epoch).
+
+        That of each interval between two looks that has a part in it, and of the next one: a wait may have ended there.
+        """
+        total, late = 0.0, False
+        for (first, last), waited in zip(itertools.pairwise(self._looked), self._waits, strict=True):
+            inside = first <= ended and last >= begun
+            total += waited if inside or late else 0.0
+            late = inside
+        return total
+
     def often(self, length: float) -> int:
         """How often at most one had to wait for ``length`` seconds."""
         return sum(int(sum(pair) / length) for pair in itertools.pairwise([0.0, *self._waits, 0.0]))
+
+
+@contextlib.contextmanager
+def components_looked_at(token: str) -> Iterator[Starved]:
+    """Look again and again inside, in a thread, at all components of the run ``token`` (:func:`ended`)."""
+    starved, over = Starved(), threading.Event()
+
+    def keep_looking() -> None:
+        for look in itertools.count():
+            if look % 5 == 0:
+                of_run = (each.pid for each in reaper.processes() if reaper.environment_value(each.pid, RUN) == token)
+                starved.watch(*(pid for pid in of_run if reaper.environment_value(pid, ENV_INSTANCE)))
+            starved.look()
+            if over.wait(LOOK):
+                return
+
+    looking = threading.Thread(target=keep_looking)
+    looking.start()
+    try:
+        yield starved
+    finally:
+        over.set()
+        looking.join()
 
 
 def _waited(pid: int) -> float:

@@ -147,10 +147,12 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
         outside = report_on_ros_clock(changed(observed, rows=inside), moments)
         assert (swap.lost, outside.lost, outside.duplicates) == (0, 0, 0)
         # A busy machine calls a publisher of 100 messages per second too late now and then, and brings `/clock` too
-        # late to the subscriber, by which it tells slots apart; the recorder's slots are by the clock's own source.
-        assert swap.duplicates is not None and swap.duplicates <= (0 if speed < 1 else 10)
+        # late to the subscriber, by which it tells slots apart; the recorder's slots are by the clock's own source. One
+        # that gets no processor for the length of a slot is later by that.
+        late = 0 if speed < 1 else 10 + starved.often(PERIOD / speed)
+        assert swap.duplicates is not None and swap.duplicates <= late
         # A message at either end of the window may have reached one of the two within it.
-        most = 1 if speed < 1 else 10
+        most = max(1, late)
         assert swap.missed is not None and outside.missed is not None and abs(swap.missed - outside.missed) <= most
         # On the steady clock, most would be missed at half the speed. Above real time, only the recorder can tell.
         assert speed > 1 or swap.missed <= starved.often(PERIOD / speed - CLOCK_LATE)

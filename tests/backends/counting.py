@@ -85,11 +85,12 @@ class Caller:
             raise AssertionError("; ".join(self.unanswered(calls))) from error
 
     def unanswered(self, calls: Path) -> list[str]:
-        """The requests that wait for their answers, with their ages and who has handled them."""
+        """The requests that wait for their answers: their ages, who has handled them, and what their clients know."""
         handled = dict(line.split() for line in calls.read_text().splitlines()) if calls.exists() else {}
         return [
-            f"request {number}, made {time.monotonic() - since:.1f} s ago, handled by {handled.get(f'{number}')}"
-            for _, since, number in self._waiting.values()
+            f"request {number}, made {time.monotonic() - since:.1f} s ago, handled by {handled.get(f'{number}')} "
+            f"(its client knows {'a' if self._clients[index].service_is_ready() else 'no'} server)"
+            for index, (_, since, number) in self._waiting.items()
         ]
 
     def handled_once(self, calls: Path) -> None:

@@ -18,7 +18,7 @@ from midstride.foreign.page import PAGE, VERSION, PageLayout
 from tests.acceptance.foreign_support import declared_talker, programs_of_the_page
 from tests.acceptance.support import PERIOD, Recorder, ended, swap_specification
 from tests.acceptance.test_fencing import WAIT, hanging_specification
-from tests.acceptance.test_manager_killed import silences
+from tests.acceptance.test_manager_killed import silent_since
 from tests.cli.conftest import EXAMPLES, Midstride, alive, nothing_lost, unwritten
 
 TALKER = str(EXAMPLES / "talker" / "talker.stride")
@@ -191,7 +191,7 @@ def test_what_does_not_depend_on_the_dead_one_is_not_disturbed(midstride: Midstr
         assert "create sink" in up.out and "source was reattached unchanged" in up.out
         rows = recorder.stop()
         assert midstride("down").status == 0
-    assert max(silences(rows)) <= 10 * PERIOD
+    assert max(silent_since(rows))[0] <= 10 * PERIOD
 
 
 @pytest.mark.full
