@@ -677,6 +677,20 @@ def test_a_replacement_that_answers_already_is_not_asked_to(tmp_path: Path) -> N
     bench(replacing(), tmp_path, body)
 
 
+def test_a_replacement_that_could_not_answer_at_first_is_asked_again(tmp_path: Path) -> None:
+    """Before its predecessor ends: what has waited at both would be dropped then."""
+
+    async def body(b: Bench) -> None:
+        standing_by(b, "talker_2")
+        b.client.reply("talker_2", AnswerCommand, REFUSED, CallTimeout("it is late"), Answers())
+        await perform(b, HANDOVER)
+        command = AnswerCommand(peer="talker", address=b.client.address("talker"))
+        assert answering(b) == [("talker_2", command)] * 3
+        assert b.words("note") == []
+
+    bench(replacing(), tmp_path, body)
+
+
 def test_a_replacement_that_cannot_answer_yet_is_noted_and_has_the_topic(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         standing_by(b, "talker_2")

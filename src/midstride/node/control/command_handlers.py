@@ -224,11 +224,7 @@ class CommandHandlers:
         admission, answering = self.host.admission, self._handovers.answering
         admission.pause()
         held = set(answering.undecided())
-        while (
-            admission.busy
-            or held.intersection(answering.undecided())
-            or (answering.has_successor and admission.answered_within(CALLED_WITHIN))
-        ):
+        while admission.busy or held.intersection(answering.undecided()) or self._may_pass_on:
             if self.host.steady() >= deadline:
                 words = f"a request to a service of it was not answered within {REQUESTS_SECONDS:g} s"
                 if not admission.busy:
@@ -236,6 +232,11 @@ class CommandHandlers:
                 self.host.logger.error(f"{self.host.instance} ends, but {words}")
                 return
             await self.host.sleep(0.01)
+
+    @property
+    def _may_pass_on(self) -> bool:
+        """Whether another instance answers instead, which a client that has called lately may not have discovered."""
+        return self._handovers.answering.has_successor and self.host.admission.answered_within(CALLED_WITHIN)
 
     async def _finish_goals(self) -> None:
         """Where a successor takes new goals, go on with its own until they have ended; then leave their results to it.
@@ -331,7 +332,7 @@ class CommandHandlers:
         That of a request that is being handled, or may have to be passed on, of the call under way, and of `on_stop`.
         """
         callbacks = self.parts.callbacks
-        requests = REQUESTS_SECONDS if self.host.admission.busy or self._handovers.answering.has_successor else 0.0
+        requests = REQUESTS_SECONDS if self.host.admission.busy or self._may_pass_on else 0.0
         requests += self.patience + 2 * CANCELLING + RESPONSE_SECONDS if self._goes_on_with_goals else 0.0
         requests += RESPONSE_SECONDS if requests or self.host.admission.answered_within(RESPONSE_SECONDS) else 0.0
         return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS
