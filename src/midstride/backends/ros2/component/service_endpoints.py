@@ -167,6 +167,9 @@ class _Caller:
     def abandon(self, future: Any, error: Exception) -> None:
         if not future.done():
             future.set_exception(error)
+            # Kilted's executor runs older tasks first: one that awaits this future would wait for the next event.
+            if (executor := self._node.executor) is not None:
+                executor.wake()
 
     def matched(self) -> int:
         try:
