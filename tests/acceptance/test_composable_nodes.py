@@ -72,6 +72,7 @@ def test_a_composable_node_is_replaced_with_new_code_and_what_cannot_be_loaded_i
 
             done = await made.change("Faster", role="front/talker")
             assert (done.outcome, done.because) == ("done", None)
+            assert "talker_container" not in str(done), "the services of the container are nothing that others lose"
             await made.until(lambda: made.heard[-1][1] == "front/talker_2-new")
             begins = len(made.heard)
             await made.hears(120)

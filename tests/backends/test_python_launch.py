@@ -163,3 +163,49 @@ def test_lifecycle_nodes_are_taken_through_the_states_that_launch_takes_them_thr
     ]
     (later,) = (finding.message for finding in found.findings if finding.kind == "later")
     assert "`mission` is started when `pump` has become active" in later and found.nodes == 4
+
+
+COMPONENTS = """
+from launch import LaunchDescription
+from launch_ros.actions import ComposableNodeContainer, LoadComposableNodes, Node, PushRosNamespace
+from launch_ros.descriptions import ComposableNode
+
+def generate_launch_description():
+    return LaunchDescription([
+        PushRosNamespace("front"),
+        ComposableNodeContainer(
+            package="rclcpp_components", executable="component_container_mt", name="pipeline", namespace="",
+            composable_node_descriptions=[
+                ComposableNode(
+                    package="cameras", plugin="cameras::Camera", name="camera", remappings=[("image", "/image")],
+                    parameters=[{"gain": 2, "lens": {"focus": 0.5}}],
+                    extra_arguments=[{"use_intra_process_comms": True}, {"enable_rosout": False}],
+                ),
+            ],
+        ),
+        Node(package="rclcpp_components", executable="component_container_isolated", name="box"),
+        LoadComposableNodes(target_container="box", composable_node_descriptions=[
+            ComposableNode(package="planners", plugin="planners::Planner", name="planner", namespace="/other"),
+        ]),
+        LoadComposableNodes(target_container="/elsewhere", composable_node_descriptions=[
+            ComposableNode(package="routes", plugin="routes::Route", name="route"),
+        ]),
+    ])
+"""
+
+
+@pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="ROS 2's launch is on no package index")
+def test_components_of_a_python_launch_file_get_a_process_each(tmp_path: Path) -> None:
+    file = tmp_path / "robot.launch.py"
+    file.write_text(COMPONENTS, encoding="utf-8")
+    found = import_launch_file(file, {}, dict(os.environ), None, run_python=True, containers="split")
+    assert 'run component "cameras::Camera -r image:=/image -e enable_rosout:=false" package "cameras"' in found.text
+    assert 'in "component_container_mt" gate preload' in found.text
+    assert "gain = 2" in found.text
+    assert "lens.focus = 0.5" in found.text
+    assert 'run component "planners::Planner" package "planners" in "component_container_isolated"' in found.text
+    assert 'run component "routes::Route" package "routes" gate preload' in found.text
+    assert "namespace other {" in found.text
+    assert found.nodes == 3
+    omitted = import_launch_file(file, {}, dict(os.environ), None, run_python=True)
+    assert [each.kind for each in omitted.findings].count("composable") == 3

@@ -230,10 +230,13 @@ class ForeignNodes:
         return node if self._served(node, services).has_lifecycle else ""
 
     def _servers(self, record: ForeignRecord) -> frozenset[str] | None:
-        """The services that the gate inside the process sees; None where there is none, or it sees none."""
-        if record.index is None or self._page is None:
+        """The services that the gate inside the process sees; None where there is none, or it sees none.
+
+        Those of a container are not the node's: they end with each of them, and nothing else calls them.
+        """
+        if record.index is None or self._page is None or not (found := self._page.servers(record.index)):
             return None
-        return frozenset(self._page.servers(record.index)) or None
+        return frozenset(each for each in found if not record.container or not each.startswith(f"{record.container}/"))
 
     def describe(
         self, launch: Launch, component: ComponentSpec, name: StartName, environment: Mapping[str, str]

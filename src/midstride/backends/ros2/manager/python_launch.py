@@ -487,7 +487,8 @@ class _Visitor:
 
     def _component(self, description: Any, container: str) -> dict[str, Any]:
         from launch_ros.parameter_descriptions import ParameterFile
-        from launch_ros.utilities import evaluate_parameters, normalize_parameter_dict
+        from launch_ros.utilities import evaluate_parameters
+        from launch_ros.utilities.normalize_parameters import normalize_parameter_dict
 
         configurations = self.context.launch_configurations
         base, own = configurations.get("ros_namespace") or "", self.text(description.node_namespace)
