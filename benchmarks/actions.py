@@ -1,9 +1,10 @@
 """What replacing the server of a ROS action costs its client, which has four goals of 2 s in progress, on real ROS 2.
 
-Nodes without Midstride's API behind `gate preload`, in plain rclpy and in C on rcl, replaced by Midstride; beside them
-a server that is killed and another one started, whose client gives a goal up after 6 s; and one that stays. Each fourth
-goal is cancelled after 0.3 s. Client and servers count, in the same way for each. A goal is *lost* where its client
-gets no result, and *wrong* where that is another one than of a goal that has succeeded, or that was to be cancelled.
+Nodes without Midstride's API behind `gate preload`, in plain rclpy and in C on rcl, and components with the API,
+replaced by Midstride; beside them a server that is killed and another one started, whose client gives a goal up after 6 s; and
+one that stays. Each fourth goal is cancelled after 0.3 s. Client and servers count, in the same way for each. A goal is
+*lost* where its client gets no result, and *wrong* where that is another one than of a goal that has succeeded, or that
+was to be cancelled.
 
 The results of each block of replacements are kept as soon as it is done, and the next run goes on with the rest; remove
 the file to begin anew. Interrupted or terminated, it ends what it has started.
@@ -14,7 +15,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +24,7 @@ sys.path.append(str(ROOT))
 
 from benchmarks.services import REST, Figures, Way, end, looked, quantiles, run, started  # noqa: E402
 from midstride.lang.load import load  # noqa: E402
-from tests.acceptance.acting import Goals, asking, written  # noqa: E402
+from tests.acceptance.acting import Goals, asking, written, written_with_api  # noqa: E402
 from tests.acceptance.foreign_support import robot  # noqa: E402
 
 # How many numbers a goal asks for at least, at 20 Hz.
@@ -48,12 +49,14 @@ def figures(goals: Goals, swaps: int) -> Figures:
     }
 
 
-async def replaced(folder: Path, swaps: int, kinds: tuple[str, str]) -> tuple[Figures, list[str]]:
+async def replaced(
+    folder: Path, swaps: int, kinds: tuple[str, str], write: Callable[[Path], Path] = written
+) -> tuple[Figures, list[str]]:
     """Midstride replaces the server; with the reasons of what was rolled back."""
     rolled_back: list[str] = []
-    async with robot(load(written(folder)).require(), folder) as system:
+    async with robot(load(write(folder)).require(), folder) as system:
         done = 0
-        if kinds[1] != "Plain":
+        if system.manager.configuration.component("talker").name != kinds[1]:
             await system.replaced(kinds[1])
         async with asking(folder, system.until, ORDER) as goals:
             while done < swaps:
@@ -101,6 +104,7 @@ async def steady(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
 WAYS: Mapping[str, Way] = {
     "replaced, rclpy": lambda folder, swaps: replaced(folder, swaps, ("Other", "Plain")),
     "replaced, C": lambda folder, swaps: replaced(folder, swaps, ("Compiled", "Native")),
+    "replaced, API": lambda folder, swaps: replaced(folder, swaps, ("OwnOther", "Own"), written_with_api),
     "killed": killed,
     "none": steady,
 }

@@ -58,6 +58,43 @@ except (KeyboardInterrupt, ExternalShutdownException):
     pass
 """
 
+# The same with Midstride's API, as a port.
+OWN = """
+from pathlib import Path
+from midstride import Component
+from std_msgs.msg import String
+from test_msgs.action import Fibonacci
+
+comp = Component("Own")
+number = 0
+executed = (Path(__file__).parent / "executed").open("a", buffering=1)
+
+def talk():
+    global number
+    number += 1
+    out.write(String(data=f"{comp.instance} {number}"))
+
+async def execute(goal):
+    executed.write(f"{bytes(goal.goal_id.uuid).hex()} {comp.instance}\\n")
+    result = Fibonacci.Result()
+    while len(result.sequence) < goal.request.order and not goal.is_cancel_requested:
+        result.sequence.append(len(result.sequence))
+        goal.publish_feedback(Fibonacci.Feedback(sequence=result.sequence))
+        await comp.clock.sleep(0.05)
+    goal.canceled() if goal.is_cancel_requested else goal.succeed()
+    return result
+
+out = comp.create_output("out", String)
+count = comp.create_action_server("count", Fibonacci, execute)
+talking = comp.create_functionality("talk", outputs=[out])
+talking.set_normal_mode(talk, rate=50, outputs=[out])
+talking.set_degraded_mode(lambda: None)
+counting = comp.create_functionality("counting", outputs=[count])
+counting.set_normal_mode(lambda: None, outputs=[count])
+counting.set_degraded_mode(lambda: None, name="off")
+comp.start()
+"""
+
 # A bare client with several goals at once, until SIGTERM, each of at least so many numbers; each fourth is cancelled on
 # its way. It writes of each: its UUID, the status with which it ended, the lengths of its result and of what it asked
 # for, how much feedback came, whether it was to be cancelled, and how long it took until it was accepted, and until it
@@ -211,6 +248,36 @@ def written(folder: Path) -> Path:
         text += declared_talker(name, "./c_server 20000000", "preload")
     path = folder / "serving.stride"
     path.write_text(f"{text}node talker : Plain {{ out -> /chat }}\n", encoding="utf-8")
+    return path
+
+
+def written_with_api(folder: Path) -> Path:
+    """The same system with Midstride's API: an `Own`, which can become `OwnOther`, and the client, in ``folder``."""
+    (folder / "own.py").write_text(OWN)
+    (folder / "client.py").write_text(CLIENT)
+    text = f"""system serving
+topic /chat : std_msgs/msg/String @ 50 Hz
+action /count : test_msgs/action/Fibonacci
+component Own {{
+  run "{sys.executable} own.py"
+  output out
+  action server count
+  functionality talk {{
+    produces out
+    mode normal {{ guarantee out : std_msgs/msg/String @ 50 Hz }}
+    mode degraded {{ }}
+  }}
+  functionality counting {{
+    produces count
+    mode normal {{ guarantee count : test_msgs/action/Fibonacci }}
+    mode off {{ }}
+  }}
+}}
+component OwnOther like Own {{ run "{sys.executable} own.py" }}
+node talker : Own {{ out -> /chat  count -> /count }}
+"""
+    path = folder / "serving.stride"
+    path.write_text(text, encoding="utf-8")
     return path
 
 

@@ -88,6 +88,10 @@ def replaced_often(folder: Path, components: Sequence[str], order: int = 15) -> 
                     outcome = await system.change(component)
                     assert (outcome.outcome, outcome.because) == ("done", None)
                     assert "goal" not in str(outcome.continuity), outcome.continuity
+                    counted = outcome.goals["talker"]
+                    assert counted.accepted and not (counted.lost or counted.unknown), counted.words
+                    ends = counted.ended_at_old + counted.ended_at_new + counted.cancelled
+                    assert counted.accepted == ends + counted.in_progress, counted.words
             assert len(system.changes()) == len(components)
             assert system.holes() == []
             client: Any = ActionClient(system.bare.node, Fibonacci, "/count")
@@ -161,6 +165,11 @@ def test_the_next_manager_ends_a_node_whose_goals_go_on(tmp_path: Path) -> None:
             assert "source, which an earlier manager had left half done" in words
             assert "1 goal of ROS action /count had not ended after" in words
             assert "ended with source" not in words, "the services go on at source_2"
+            notes = [each.words for each in system.manager.events.since(0) if "ROS actions in progress" in each.words]
+            assert notes == [
+                "source, which an earlier manager had left half done, has 1 goal of ROS actions in progress: "
+                "it is ended when they have ended, after 14 s at the latest"
+            ]
             client.destroy()
 
     specification = load(written_for_a_manager_that_dies(tmp_path)).require()

@@ -130,7 +130,8 @@ class ForeignAgent:
     async def finish(self) -> None:
         """Before its process is ended. Raises CommandRefused where a lifecycle node has not made its transitions."""
         await self._outputs.finish()
-        if self.node.unfinished is not None:
+        requests = self.node.requests
+        if self.node.unfinished is not None or (requests and requests.page.goal_counts(requests.index)):
             self._report()
             await asyncio.sleep(REPORTED)
         if self.lifecycle is not None and self.lifecycle.lifecycle.responsive:

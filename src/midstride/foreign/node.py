@@ -214,6 +214,7 @@ class ForeignNode:
             simulated_time=record.simulated_time,
             clock_speed=self.others.speed if record.simulated_time else 1.0,
             unfinished=self.unfinished,
+            goals=None if self.requests is None else self.requests.page.goal_counts(self.requests.index),
         )
 
     def note_settings(self) -> None:

@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 
 from midstride.errors import BackendError
 from midstride.node.handover.baton import BatonStep, BatonWord
+from midstride.wire.state import GoalCounts
 
 MAGIC: Final = 0x4D4944535452444E
 VERSION: Final = 10
@@ -125,6 +126,7 @@ class PageNode(ctypes.Structure):
         ("mark", c_uint8 * MARK),
         ("cancels", c_uint32),
         ("beyond", c_uint32),
+        ("goals", c_uint32 * 4),
         ("spare", c_uint32),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
@@ -553,6 +555,12 @@ class Page:
                 service = self._ports[goal.port - 1].topic.decode() if goal.port else ""
                 found.append(KnownGoal(service.removesuffix(SEND_GOAL), state, bytes(goal.id)))
         return found
+
+    def goal_counts(self, index: int) -> GoalCounts | None:
+        """What has become of the goals of the node ``index`` so far; None where it has had none."""
+        accepted, ended, cancelled, unknown = self.layout.nodes[index].goals
+        found = GoalCounts(accepted=accepted, ended=ended, cancelled=cancelled, unknown=unknown)
+        return found if found != GoalCounts() else None
 
     def cancel_goals(self, index: int) -> None:
         """Have the process of the node ``index`` cancel all its goals, as a client of its would."""

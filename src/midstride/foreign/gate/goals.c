@@ -130,25 +130,31 @@ void accept_beyond(const struct entry *entry, const struct subject *subject)
   pthread_mutex_unlock(&lock);
 }
 
-/* Such a goal has ended. With `lock`. */
-static void end_beyond(const uint8_t *goal)
+/* Such a goal has ended; index + 1 of its node, 0 where it is none of them. With `lock`. */
+static unsigned end_beyond(const uint8_t *goal)
 {
   for (struct beyond **place = &beyond; *place; place = &(*place)->next)
     if (memcmp((*place)->goal, goal, sizeof (*place)->goal) == 0) {
       struct beyond *ended = *place;
+      unsigned me = ended->me;
       *place = ended->next;
-      atomic_fetch_sub(&page->nodes[ended->me - 1].beyond, 1);
+      atomic_fetch_sub(&page->nodes[me - 1].beyond, 1);
       free(ended);
-      return;
+      return me;
     }
+  return 0;
 }
 
-/* Something has happened to a goal of this process. */
-static void on_goal(const struct goal_info *info, enum goal_event event)
+void count_goal(unsigned me, unsigned what)
+{
+  atomic_fetch_add(&page->nodes[me - 1].goals[what], 1);
+}
+
+/* Something has happened to a goal of this process. `counts`: as what it counts once it has ended. */
+static void on_goal(const struct goal_info *info, enum goal_event event, unsigned counts)
 {
   pthread_mutex_lock(&lock);
-  if (event == END)
-    end_beyond(info->id);
+  unsigned owner = event == END ? end_beyond(info->id) : 0;
   for (struct table *table = &first_table; table; table = atomic_load(&table->next))
     for (unsigned index = 0; index < ENTRIES; index++) {
       struct entry *entry = &table->entries[index];
@@ -156,9 +162,13 @@ static void on_goal(const struct goal_info *info, enum goal_event event)
       struct requests *requests =
           endpoint && endpoint != REMOVED && entry->service == SEND_GOAL ? requests_of(entry->me) : NULL;
       struct goal *goal = requests ? find_goal(requests, info->id) : NULL;
-      if (goal)
+      if (goal && OWNER(atomic_load(&goal->word)) == entry->me) {
+        owner = entry->me;
         step_goal(goal, entry->me, event);
+      }
     }
+  if (owner && event == END)
+    count_goal(owner, counts);
   pthread_mutex_unlock(&lock);
 }
 
@@ -171,7 +181,7 @@ EXPORT int rcl_action_update_goal_state(void *handle, int event)
   struct goal_info info;
   if (page && result == 0 && event >= GOAL_EVENT_SUCCEED && event <= GOAL_EVENT_CANCELED &&
       real_rcl_action_goal_handle_get_info()(handle, &info) == 0)
-    on_goal(&info, END);
+    on_goal(&info, END, event == GOAL_EVENT_CANCELED ? GOALS_CANCELLED : GOALS_ENDED);
   return result;
 }
 
@@ -179,6 +189,6 @@ EXPORT int rcl_action_expire_goals(const void *server, struct goal_info *expired
 {
   int result = real_rcl_action_expire_goals()(server, expired, capacity, number);
   for (size_t index = 0; page && result == 0 && expired && index < *number && index < capacity; index++)
-    on_goal(&expired[index], EXPIRE);
+    on_goal(&expired[index], EXPIRE, COUNTED);
   return result;
 }

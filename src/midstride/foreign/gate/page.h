@@ -68,6 +68,10 @@ struct port {
   char topic[NAME]; /* its full name; of a server or a client, that of the service */
 };
 
+/* What has become of goals: so many were accepted, ended, or ended as they were cancelled; and how many requests were
+ * about goals that no node knew. */
+enum { GOALS_ACCEPTED, GOALS_ENDED, GOALS_CANCELLED, GOALS_UNKNOWN, COUNTED };
+
 /* What is gated as one: a process, or one of several ROS nodes in it. */
 struct node {
   _Atomic uint32_t pid;  /* 0: none of its endpoints has been created yet */
@@ -87,6 +91,7 @@ struct node {
   uint8_t mark[MARK];      /* the identity of the first publisher of its process, which begins with that of the process */
   _Atomic uint32_t cancels; /* whether the helper thread is to cancel the goals that it has */
   _Atomic uint32_t beyond; /* how many goals it has in progress that the page had no room for */
+  _Atomic uint32_t goals[COUNTED]; /* what has become of its goals, in all */
   uint32_t spare;
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */

@@ -142,8 +142,12 @@ void ring_others(const struct entry *entry)
     midstride_ring(page, ANSWERING(word) - 1);
 }
 
-/* Answer with the result of a goal whose node has ended, if the manager has kept it in a file: no client had fetched it. */
-static void answer_kept(const struct entry *entry, const uint8_t *goal, void *response)
+/* Of action_msgs/srv/CancelGoal. */
+enum { UNKNOWN_GOAL_ID = 2 };
+
+/* Answer with the result of a goal whose node has ended, if the manager has kept it in a file: no client had fetched it.
+ * Whether it has. */
+static bool answer_kept(const struct entry *entry, const uint8_t *goal, void *response)
 {
   char name[FILE_NAME];
   int end = snprintf(name, FILE_NAME, "%s.result.", page_path);
@@ -152,9 +156,11 @@ static void answer_kept(const struct entry *entry, const uint8_t *goal, void *re
   serialized bytes = {.memory = heap};
   bytes.buffer = entry->response ? read_file(name, &bytes.length) : NULL;
   bytes.capacity = bytes.length + 1;
-  if (bytes.buffer && real_rmw_deserialize()(&bytes, entry->response, response) != 0)
+  bool known = bytes.buffer && real_rmw_deserialize()(&bytes, entry->response, response) == 0;
+  if (bytes.buffer && !known)
     real_rcutils_reset_error()();
   free(bytes.buffer);
+  return known;
 }
 
 EXPORT int rcl_send_response(const void *service, struct request_id *id, void *response)
@@ -183,9 +189,14 @@ EXPORT int rcl_send_response(const void *service, struct request_id *id, void *r
       step_goal(taken->goal, entry->me, begins ? ACCEPT : REJECT);
     else if (begins)
       accept_beyond(entry, &taken->subject);
+    if (begins)
+      count_goal(entry->me, GOALS_ACCEPTED);
   }
+  bool unknown = taken && entry->service == CANCEL_GOAL && begins == UNKNOWN_GOAL_ID;
   if (taken && entry->service == GET_RESULT && !begins) /* the node does not know the goal */
-    answer_kept(entry, taken->subject.goal, response);
+    unknown = !answer_kept(entry, taken->subject.goal, response);
+  if (unknown)
+    count_goal(entry->me, GOALS_UNKNOWN);
   int result = real_rcl_send_response()(service, id, response);
   struct goal *goal = taken && entry->service == GET_RESULT && begins ? find_goal(requests, taken->subject.goal) : NULL;
   if (goal && result == 0)

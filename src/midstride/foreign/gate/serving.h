@@ -74,6 +74,8 @@ struct goal *reserve_goal(struct requests *requests, const struct entry *entry, 
  * goal. */
 enum turn turn_with(struct requests *requests, const struct entry *entry, const struct subject *subject,
                     const struct request_id *id, int64_t at, bool added, bool own);
+/* Count what has become of a goal of the node `me` (index + 1), or a request to it about one that is not known. */
+void count_goal(unsigned me, unsigned what);
 /* A goal that the page has no room for is accepted: the node is waited for until it has ended, too. */
 void accept_beyond(const struct entry *entry, const struct subject *subject);
 
