@@ -1,10 +1,10 @@
 """What replacing the server of a ROS action costs its client, which has four goals of 2 s in progress, on real ROS 2.
 
 Nodes without Midstride's API behind `gate preload`, in plain rclpy and in C on rcl, and components with the API,
-replaced by Midstride; beside them a server that is killed and another one started, whose client gives a goal up after 6 s; and
-one that stays. Each fourth goal is cancelled after 0.3 s. Client and servers count, in the same way for each. A goal is
-*lost* where its client gets no result, and *wrong* where that is another one than of a goal that has succeeded, or that
-was to be cancelled.
+replaced by Midstride; beside them a server that is killed and another one started, whose client gives a goal up after
+6 s; and one that stays. Each fourth goal is cancelled after 0.3 s. Client and servers count, in the same way for each.
+A goal is *lost* where its client gets no result, and *wrong* where that is another one than of a goal that has
+succeeded, or that was to be cancelled.
 
 The results of each block of replacements are kept as soon as it is done, and the next run goes on with the rest; remove
 the file to begin anew. Interrupted or terminated, it ends what it has started.
