@@ -197,7 +197,7 @@ def test_a_server_keeps_its_state_where_no_topic_is_handed_over(tmp_path: Path, 
 # Where a manager is killed: around each step of a transfer.
 POINTS = [
     (op, when)
-    for op in ("prepare_state", "node_export_state", "node_import_state", "cut_in", "await_cut", "answer", "detach")
+    for op in ("prepare_state", "node_export_state", "node_import_state", "cut_in", "await_cut", "detach")
     for when in ("before", "after")
 ]
 
