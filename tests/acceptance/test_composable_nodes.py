@@ -30,9 +30,9 @@ component Talker {
     mode degraded { }
   }
 }
-component Faster like Talker {
+component Later like Talker {
   run component "demo::Talker" package "demo" gate preload
-  parameters { rate = 60.0 }
+  parameters { first = 5000 }
 }
 component Failing like Talker { run component "demo::Failing" package "demo" gate preload }
 component Crashing like Talker { run component "demo::Crashing" package "demo" gate preload }
@@ -70,14 +70,12 @@ def test_a_composable_node_is_replaced_with_new_code_and_what_cannot_be_loaded_i
             (outdated,) = (await made.manager.status()).instances
             assert outdated.changed_files == [str(stand_in.prefix / "lib" / "libdemo.so")]
 
-            done = await made.change("Faster", role="front/talker")
+            done = await made.change("Later", role="front/talker")
             assert (done.outcome, done.because) == ("done", None)
             assert "talker_container" not in str(done), "the services of the container are nothing that others lose"
             await made.until(lambda: made.heard[-1][1] == "front/talker_2-new")
-            begins = len(made.heard)
-            await made.hears(120)
-            seconds = made.heard[-1][0] - made.heard[begins][0]
-            assert len(made.heard[begins:]) / seconds > 50, "the parameter of the request has not reached the node"
+            assert made.heard[-1][2] > 5000, "the parameter of the request has not reached the node"
+            await made.hears(20)
             assert [name for name, _ in groupby(made.heard, lambda each: each[1])] == [
                 "front/talker-old",
                 "front/talker_2-new",

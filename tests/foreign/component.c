@@ -1,5 +1,5 @@
-/* A library with composable nodes: `demo::Talker` publishes "INSTANCE NUMBER TEXT" on `chatter`, `rate` times a second;
- * `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled. */
+/* A library with composable nodes: `demo::Talker` publishes "INSTANCE NUMBER TEXT" on `chatter`, 50 times a second,
+ * and begins to count after the parameter `first`; `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled. */
 #include "composable.h"
 
 #include <rosidl_runtime_c/string_functions.h>
@@ -50,7 +50,8 @@ const char *create(struct composable *self, const char *plugin, double (*number_
           "publisher");
   std_msgs__msg__String__init(&talker->message);
   self->state = talker;
-  self->period = (long long)(1e9 / number_of("rate", 50.0));
+  talker->number = number_of("first", 0);
+  self->period = 20000000;
   self->tick = talk;
   self->end = stop;
   return NULL;
