@@ -70,6 +70,7 @@ class ForeignNode:
         # By parameter, when a request has set it last (Unix time, s), and the value; whether these are all requests.
         self.settings: dict[str, tuple[float, Any]] = {}
         self._all_settings = False
+        self._noted = 0  # how many of them have been read
         self.settings_in: Callable[[bytes], Mapping[str, Any]] | None = (
             None  # those of a request, of which these are the bytes
         )
@@ -228,8 +229,9 @@ class ForeignNode:
         except BackendError:  # what is not known counts as such
             noted = []
         self._all_settings = None not in taken and sum(filter(None, taken)) == len(noted)
-        for at, _, request in noted:
+        for at, _, request in noted[self._noted :]:  # each is read once: there may be thousands
             self.settings |= {name: (at, value) for name, value in self.settings_in(request).items()}
+        self._noted = max(self._noted, len(noted))
 
     def _set_at(self) -> dict[str, float]:
         """When a request has set those parameters of the node that have its value still (Unix time, s)."""
