@@ -17,7 +17,8 @@ from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 from tests.composition import StandIn
 
-pytestmark = [pytest.mark.ros2, pytest.mark.full]
+# Its types and its container are compiled first, which takes longer than the rest.
+pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.long]
 
 ROBOT = """system composed
 topic /front/chat : std_msgs/msg/String @ 45 Hz
