@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.conformance import CHECKS
+from tests.conformance import CHECKS, SERVICE_CHECKS
 
 # `make test` runs these: start and stop, attach, carry over state, hand over, and what each does when something fails.
 # The simulator runs all checks every time, and `make test-all` runs all of them on every ROS.
@@ -31,4 +31,9 @@ assert {check.__name__ for check in CHECKS} >= ESSENTIAL
 CHECKS_ON_ROS = [
     pytest.param(check, id=check.__name__, marks=() if check.__name__ in ESSENTIAL else pytest.mark.full)
     for check in CHECKS
+]
+# All but the essential ones cost a second or two each.
+SERVICE_CHECKS_ON_ROS = [
+    pytest.param(check, id=check.__name__, marks=() if check.__name__ == "hands_over_requests" else pytest.mark.full)
+    for check in SERVICE_CHECKS
 ]

@@ -9,7 +9,7 @@ import pytest
 
 from midstride.runtime.process import reaper
 from midstride.runtime.process.reaper import Reaper
-from tests.backends.conformance import CHECKS_ON_ROS
+from tests.backends.conformance import CHECKS_ON_ROS, SERVICE_CHECKS_ON_ROS
 from tests.backends.ros2_support import run
 from tests.conformance import Check
 from tests.conformance.walks import walk
@@ -31,7 +31,7 @@ def held(check: Check, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 
 
-@pytest.mark.parametrize("check", CHECKS_ON_ROS)
+@pytest.mark.parametrize("check", [*CHECKS_ON_ROS, *SERVICE_CHECKS_ON_ROS])
 def test_ros2(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held(check, tmp_path, monkeypatch)
 

@@ -16,7 +16,15 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.simulator import PacedLoop, Simulator, VirtualLoop, cooperative_thread, messages, virtual_loop
+from midstride.backends.simulator import (
+    PacedLoop,
+    Simulator,
+    VirtualLoop,
+    cooperative_thread,
+    messages,
+    type_imports,
+    virtual_loop,
+)
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend_protocol import Exited, Launch
 from midstride.wire.frames import Reply
@@ -481,7 +489,7 @@ def test_message_packages_can_be_imported_while_it_is_open(monkeypatch: pytest.M
     monkeypatch.delitem(sys.modules, "stereo_msgs.msg", raising=False)
     with pytest.raises(ModuleNotFoundError):
         importlib.import_module("stereo_msgs.msg")
-    with messages.served():
+    with type_imports.served():
         module = importlib.import_module("stereo_msgs.msg")
         assert module.DisparityImage().header.frame_id == ""
         with pytest.raises(ModuleNotFoundError):

@@ -60,16 +60,21 @@ class Lab:
 
     # -- processes ---------------------------------------------------------------------------------
 
-    async def launch(self, instance: str, description: Description, **parameters: object) -> Handle:
-        """Start a puppet without waiting for it."""
+    async def launch(self, instance: str, description: Description, replaces: str = "", **parameters: object) -> Handle:
+        """Start a puppet without waiting for it. ``replaces``: the instance that answers requests until then."""
         arguments = command_of(sys.executable, description)
-        handle = await self.backend.start(Launch(instance, "", arguments, TOKEN, self._workspace, parameters))
+        launch = Launch(
+            instance, "", arguments, TOKEN, self._workspace, parameters, node=replaces, standby=bool(replaces)
+        )
+        handle = await self.backend.start(launch)
         self.handles[instance] = handle
         return handle
 
-    async def start(self, instance: str, description: Description, **parameters: object) -> Registration:
+    async def start(
+        self, instance: str, description: Description, replaces: str = "", **parameters: object
+    ) -> Registration:
         """Start a puppet, and welcome it once it has registered."""
-        await self.launch(instance, description, **parameters)
+        await self.launch(instance, description, replaces, **parameters)
         _, registration = await self.registered(instance)
         await self.welcome(instance)
         return registration
@@ -130,7 +135,7 @@ class Lab:
         timeout: float = PATIENCE,
     ) -> Reply:
         """Send any request, valid or not: the command is ``op`` with ``arguments``, unchecked."""
-        if op in ("meet", "cut_in") and "peer" in arguments:
+        if op in ("meet", "cut_in", "answer") and "peer" in arguments:
             arguments = {"address": self.backend.transport.address(arguments["peer"]), **arguments}
         channel = await self.channel(instance, token)
         command = msgspec.Raw(msgspec.json.encode({"command": op, **arguments}))
@@ -256,17 +261,27 @@ class Lab:
 Check: TypeAlias = Callable[[Backend, Path], Coroutine[Any, Any, None]]
 
 CHECKS: Final[list[Check]] = []
+# What a platform must pass besides that has services and ROS actions as ports.
+SERVICE_CHECKS: Final[list[Check]] = []
 
 
 def check(body: Callable[[Lab], Coroutine[Any, Any, None]]) -> Check:
     """Adds to ``CHECKS`` what ``body`` does in a laboratory."""
+    return _added(CHECKS, body)
 
+
+def service_check(body: Callable[[Lab], Coroutine[Any, Any, None]]) -> Check:
+    """Adds to ``SERVICE_CHECKS`` what ``body`` does in a laboratory."""
+    return _added(SERVICE_CHECKS, body)
+
+
+def _added(checks: list[Check], body: Callable[[Lab], Coroutine[Any, Any, None]]) -> Check:
     @wraps(body)
     async def opened(backend: Backend, workspace: Path) -> None:
         async with Lab(backend, workspace) as lab:
             await body(lab)
 
-    CHECKS.append(opened)
+    checks.append(opened)
     return opened
 
 

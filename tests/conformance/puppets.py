@@ -6,6 +6,8 @@ import json
 from typing import Any, Final
 
 STRING: Final = "std_msgs/msg/String"
+TRIGGER: Final = "std_srvs/srv/Trigger"
+FIBONACCI: Final = "test_msgs/action/Fibonacci"
 
 Description = dict[str, Any]
 
@@ -43,6 +45,18 @@ def sink(durability: str = "volatile", **more: Any) -> Description:
     """Receives; what it has received is in its exported state."""
     topic = {"type": STRING, "qos": {"durability": durability, "depth": 200}}
     return _of_one("sink", "hear", {"assumes": ["in"]}, {"inputs": {"in": topic}}, **more)
+
+
+def server(mode: Description | None = None, kind: str = TRIGGER, **more: Any) -> Description:
+    """Serves `answer` in its normal mode, and not in its degraded one."""
+    normal = {"guarantees": {"answer": {"type": kind, "within_seconds": 0.5}}}
+    return _of_one("server", "serve", normal, {"outputs": ["answer"]}, modes={"serve.normal": mode or {}}, **more)
+
+
+def asker(kind: str = TRIGGER, rate: float = 20, **more: Any) -> Description:
+    """Sends requests by `ask`, at ``rate`` in its normal mode."""
+    ports = {"inputs": {"ask": {"type": kind, "within_seconds": 1.0}}}
+    return _of_one("asker", "ask", {"assumes": ["ask"]}, ports, modes={"ask.normal": {"rate": rate}}, **more)
 
 
 def steady(**parameters: Any) -> Description:

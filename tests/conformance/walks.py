@@ -6,13 +6,14 @@ Every back end is compared with the same model, so back ends that pass agree wit
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from midstride.runtime.backend_protocol import Backend
-from tests.conformance.lab import CHECKS, Check, Lab, settled
-from tests.conformance.puppets import STRING, Description
+from tests.conformance.lab import CHECKS, SERVICE_CHECKS, Check, Lab, settled
+from tests.conformance.puppets import FIBONACCI, STRING, TRIGGER, Description
 
 STEPS: Final = 60
 TOPICS: Final = ("/a", "/b", "/c")
@@ -46,6 +47,24 @@ def walker() -> Description:
     }
 
 
+def serving_walker() -> Description:
+    """The same with a server, a client and the same of a ROS action. No mode relies on a client: it would degrade."""
+    description = walker()
+    component = description["component"]
+    component["inputs"] |= {"ask": {"type": TRIGGER}, "seek": {"type": FIBONACCI}}
+    component["outputs"] += ["answer", "act"]
+    work = component["functionalities"]["work"]
+    work["uses"] += ["ask", "seek"]
+    work["produces"] += ["answer", "act"]
+    for mode in ("normal", "slow"):
+        work["modes"][mode]["guarantees"] |= {"answer": {"type": TRIGGER}, "act": {"type": FIBONACCI}}
+    return description
+
+
+CLIENTS: Final = ("ask", "seek")
+SERVERS: Final = ("answer", "act")
+
+
 @dataclass
 class ExpectedComponent:
     """What the state of one walker should be."""
@@ -67,14 +86,14 @@ class ExpectedComponent:
     def _attach(self, port: str, topic: str, gate: str) -> bool:
         if port not in self.gates or topic in self.gates[port]:
             return False
-        self.gates[port][topic] = None if port == "in" else gate
+        self.gates[port][topic] = None if port in ("in", *CLIENTS) else gate
         return True
 
     def _detach(self, port: str, topic: str) -> bool:
         return port in self.gates and self.gates[port].pop(topic, "absent") != "absent"
 
     def _gate(self, port: str, topic: str, gate: str) -> bool:
-        if port == "in" or topic not in self.gates.get(port, {}):
+        if port in ("in", *CLIENTS) or topic not in self.gates.get(port, {}):
             return False
         self.gates[port][topic] = gate
         return True
@@ -93,9 +112,9 @@ class ExpectedComponent:
         return True
 
 
-def command(chance: random.Random) -> tuple[str, dict[str, Any]]:
-    """Any command, sometimes an invalid one."""
-    port = chance.choice(("out", "out", "log", "in", "in", "nowhere"))
+def command(chance: random.Random, ports: Sequence[str] = ()) -> tuple[str, dict[str, Any]]:
+    """Any command, sometimes an invalid one; also for these ``ports``."""
+    port = chance.choice(("out", "out", "log", "in", "in", "nowhere", *ports))
     topic, gate = chance.choice(TOPICS), chance.choice(("open", "closed"))
     return chance.choice(
         (
@@ -111,17 +130,21 @@ def command(chance: random.Random) -> tuple[str, dict[str, Any]]:
     )
 
 
-async def walk(backend: Backend, workspace: Path, seed: int) -> None:
-    """Send two components random commands, valid or not: each answer and state must be as expected."""
-    chance = random.Random(seed)
+async def walk(backend: Backend, workspace: Path, seed: int, services: bool = False) -> None:
+    """Send two components random commands, valid or not: each answer and state must be as expected.
+
+    ``services``: they have servers and clients, too.
+    """
+    chance, ports = random.Random(seed), (*SERVERS, *SERVERS, *CLIENTS) if services else ()
     async with Lab(backend, workspace) as lab:
         accounts: dict[str, ExpectedComponent] = {}
         for name in ("one", "two"):
-            await lab.start(name, walker())
-            accounts[name] = ExpectedComponent((await lab.read(name, "observe"))["revision"])
+            await lab.start(name, serving_walker() if services else walker())
+            account = accounts[name] = ExpectedComponent((await lab.read(name, "observe"))["revision"])
+            account.gates |= {port: {} for port in ports}
         for step in range(STEPS):
             name = chance.choice(("one", "two"))
-            op, values = command(chance)
+            op, values = command(chance, ports)
             expected = accounts[name].apply(op, values)
             reply = await lab.reply(name, op, True, **values)
             where = f"seed {seed}, step {step}: {name} {op} {values} -> {reply}"
@@ -144,12 +167,13 @@ async def _graph_agrees(lab: Lab, accounts: dict[str, ExpectedComponent]) -> boo
     return publishers == expected("out", "log") and subscribers == expected("in")
 
 
-def _seeded(seed: int) -> Check:
+def _seeded(seed: int, services: bool = False) -> Check:
     async def check(backend: Backend, workspace: Path) -> None:
-        await walk(backend, workspace, seed)
+        await walk(backend, workspace, seed, services)
 
-    check.__name__ = f"walks_at_random_{seed}"
+    check.__name__ = f"walks_at_random_{'with_services_' if services else ''}{seed}"
     return check
 
 
 CHECKS.extend(_seeded(seed) for seed in range(1, 4))
+SERVICE_CHECKS.extend(_seeded(seed, services=True) for seed in range(1, 3))

@@ -175,7 +175,7 @@ def test_what_could_not_be_lowered_is_lowered_the_next_time(tmp_path: Path) -> N
         r.client.reply("listener", ModesCommand)
         await r.reconciler.reconcile()
         assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
-        assert r.client.of(ModesCommand)[-1].because == "its input was gone before it could be degraded"
+        assert r.client.of(ModesCommand)[-1].because == "what it relied on was gone before it could be degraded"
         await r.reconciler.reconcile()
         assert len(r.client.of(ModesCommand)) == 2, "it is done"
 

@@ -242,7 +242,7 @@ def test_a_component_that_answers_and_cannot_be_degraded_is_named(tmp_path: Path
         simulator.faults.fail_next("listener", "modes", "refused", times=9)
         second = Manager(example("talker"), simulator, Workspace(tmp_path), EXAMPLES / "talker")
         with pytest.raises(
-            ManagerError, match=r"listener\.listen is without its input and could not be degraded: .*kill -9"
+            ManagerError, match=r"listener\.listen lacks what it relies on, and could not be degraded: .*kill -9"
         ):
             await second.up()
         await second.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
@@ -10,8 +11,11 @@ import pytest
 
 from midstride.errors import CallTimeout
 from midstride.model.action import Create, Remove
+from midstride.node.author import service_ports
+from midstride.node.author.service_ports import ClientPort
 from midstride.node.control import component_agent
 from midstride.node.handover import cut, cut_protocol
+from midstride.node.request_admission import RequestAdmission
 from midstride.runtime.change import executor, reconciler
 from midstride.runtime.handover import live_handover
 from midstride.runtime.process import component_client, launcher
@@ -257,6 +261,56 @@ def _new_side_not_closed(patch: pytest.MonkeyPatch) -> None:
     plant(patch, cut.IncomingCut, "close", cut.IncomingCut.conclude)
 
 
+def _both_answer(patch: pytest.MonkeyPatch) -> None:
+    """An instance that is asked to stop goes on to answer requests."""
+    close = RequestAdmission.close
+
+    def still_open(self: Any) -> list[str]:
+        handled = close(self)
+        self.open(())
+        return handled
+
+    plant(patch, RequestAdmission, "close", still_open)
+
+
+def _handled_forgotten(patch: pytest.MonkeyPatch) -> None:
+    """The old instance does not say which requests it has handled."""
+    close = RequestAdmission.close
+
+    def forgetting(self: Any) -> list[str]:
+        close(self)
+        return []
+
+    plant(patch, RequestAdmission, "close", forgetting)
+
+
+def _held_dropped(patch: pytest.MonkeyPatch) -> None:
+    """The new instance drops the requests that it has held."""
+    opened = RequestAdmission.open
+    plant(patch, RequestAdmission, "open", lambda self, handled: opened(self, None))
+
+
+def _answered_again(patch: pytest.MonkeyPatch) -> None:
+    """A request that was answered is answered again."""
+    answer = RequestAdmission._answer
+
+    def twice(self: Any, request: str, result: Any, respond: Any) -> None:
+        answer(self, request, result, respond)
+        respond(result)
+
+    plant(patch, RequestAdmission, "_answer", twice)
+
+
+def _unanswered_not_ended(patch: pytest.MonkeyPatch) -> None:
+    """A client that gives a request up lets its caller wait."""
+    plant(patch, ClientPort, "_end_calls", lambda self: None)
+
+
+def _server_believed_there(patch: pytest.MonkeyPatch) -> None:
+    """A client does not notice that its server has left."""
+    patch.setattr(service_ports, "ABSENT", math.inf)
+
+
 # Each with words of the violation by which it is found.
 PLANTED: Final[dict[str, tuple[Plant, str]]] = {
     function.__name__.strip("_").replace("_", " "): (function, words)
@@ -289,6 +343,12 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_lost_reply_not_repeated, "after `detach` is done"),
         (_gate_not_reopened, "is closed after a roll-back"),
         (_new_side_not_closed, "is open on"),
+        (_both_answer, "both answer requests"),
+        (_handled_forgotten, "is executed by"),
+        (_held_dropped, "is not executed, although"),
+        (_answered_again, "is answered 2 times"),
+        (_unanswered_not_ended, "and does not know that there is none"),
+        (_server_believed_there, "has had no server for more than"),
     )
 }
 

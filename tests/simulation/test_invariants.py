@@ -11,7 +11,7 @@ import pytest
 
 from midstride.simulation.invariants import Invariants, received
 from midstride.simulation.oracle import Oracle, Shown
-from midstride.simulation.scenario import rover
+from midstride.simulation.scenario import built_in
 from midstride.simulation.stand_in import StandIn
 from midstride.wire.state import LinkState
 
@@ -42,7 +42,7 @@ def test_two_processes_that_take_turns_are_both_heard(heard: list[Any], violatio
     time = SimpleNamespace(steady=lambda: next(times) / 10)
     found: list[str] = []
     invariants = Invariants(SimpleNamespace(time=time), SimpleNamespace(period=lambda topic: 0.1))  # type: ignore[arg-type]
-    invariants.begin(lambda: math.inf, lambda apart: math.inf if apart else 0.0, lambda: True, found.append)
+    invariants.begin(lambda: math.inf, lambda apart: math.inf if apart else 0.0, lambda: True, bool, found.append)
     for process in heard:
         invariants.on_publish(SimpleNamespace(topic="/chatter", owner=process))  # type: ignore[arg-type]
     assert found == violations
@@ -53,7 +53,7 @@ def test_a_component_must_notice_the_silence_of_what_it_has_received(count: int)
     """An input that has never received anything is not watched."""
     process = publisher("detector", 1)
     process._published = SimpleNamespace(ports={"in": {"/scan": LinkState(gate=None, count=count)}})
-    specification = rover(random.Random(0)).specification
+    specification = built_in(random.Random(0)).specification
     shown = Shown("detector", "", specification.components["Detector"], (("detect", "normal"),), (("in", "/scan"),))
     assert Oracle([specification]).reflex_applies(shown, "detect", received(process)) is bool(count)
 
@@ -69,7 +69,7 @@ def test_a_component_must_notice_the_silence_of_what_it_has_received(count: int)
 def test_the_outputs_of_two_instances_are_both_open_only_while_neither_guarantees_anything(
     modes: tuple[str, str], violations: list[str]
 ) -> None:
-    component = rover(random.Random(0)).specification.components["Lidar"]
+    component = built_in(random.Random(0)).specification.components["Lidar"]
     pair = publisher("talker", 1), publisher("talker_2", 2)
     for process, mode in zip(pair, modes, strict=True):
         process._stand_in = SimpleNamespace(component=component)
@@ -78,6 +78,6 @@ def test_the_outputs_of_two_instances_are_both_open_only_while_neither_guarantee
     platform: Any = SimpleNamespace(stand_ins=lambda: pair)
     found: list[str] = []
     invariants = Invariants(platform, SimpleNamespace())  # type: ignore[arg-type]
-    invariants.begin(lambda: math.inf, lambda apart: 0.0, lambda: True, found.append)
+    invariants.begin(lambda: math.inf, lambda apart: 0.0, lambda: True, bool, found.append)
     invariants._check_gates(pair[0])
     assert found == violations

@@ -8,8 +8,11 @@ import sys
 
 import pytest
 
+from midstride.lang.load import load_text
+from midstride.plan.request import PlanRequest
 from midstride.simulation.campaign import Summary, simulate, simulate_many
 from midstride.simulation.faults import KINDS
+from midstride.simulation.scenario import rehearsed
 from tests.simulation.planted import planted
 
 # How many seeds a test runs. `make test` runs the first of these tests, `make test-all` all.
@@ -47,15 +50,58 @@ print([run.digest for run in simulate_many({seeds!r})])
 
 
 @pytest.mark.parametrize(
-    "name",
+    ("name", "first"),
     [
-        "gate opened early",
-        pytest.param("resumed without claim", marks=pytest.mark.full),
-        "acknowledgement dropped",
-        "dependants not lowered",
-        "removal not recorded",
+        ("gate opened early", 0),
+        pytest.param("resumed without claim", 0, marks=pytest.mark.full),
+        ("acknowledgement dropped", 0),
+        ("dependants not lowered", 0),
+        ("removal not recorded", 0),
+        # Of the system with services and ROS actions.
+        ("both answer", 80),
+        ("answered again", 80),
     ],
 )
-def test_a_fault_in_our_own_code_is_found(name: str) -> None:
+def test_a_fault_in_our_own_code_is_found(name: str, first: int) -> None:
     with planted(name) as words:
-        assert any(words in problem for run in simulate_many(range(100)) for problem in run.problems)
+        assert any(words in problem for run in simulate_many(range(first, 100)) for problem in run.problems)
+
+
+def test_services_and_actions_of_a_specification_are_simulated() -> None:
+    """With stand-ins for programs that do not use the API; what serves outside of the system answers."""
+    text = """
+        system mission
+        service /map  : nav_msgs/srv/GetMap responds within 0.1 s
+        service /time : demo_msgs/srv/GetTime
+        action  /dock : nav2_msgs/action/DockRobot
+        environment { guarantee clock on /time : demo_msgs/srv/GetTime }
+        component Server {
+          run "server" gate preload
+          server map  action server dock
+          functionality serve {
+            produces map, dock
+            mode normal {
+              guarantee map : nav_msgs/srv/GetMap responds within 0.1 s  guarantee dock : nav2_msgs/action/DockRobot
+            }
+            mode off { }
+          }
+        }
+        component Client {
+          run "client" gate preload
+          client map : nav_msgs/srv/GetMap  client time : demo_msgs/srv/GetTime
+          action client dock : nav2_msgs/action/DockRobot
+          functionality work {
+            uses map, time, dock
+            mode normal { assume map  assume time  assume dock }
+            mode off { }
+          }
+        }
+        node serving : Server { map -> /map  dock -> /dock }
+        node calling : Client { map <- /map  time <- /time  dock <- /dock }
+    """
+    scenario = rehearsed(load_text(text).require(), PlanRequest(restart=("serving",)))
+    summary = Summary()
+    for run in simulate_many(range(16), scenario):
+        summary.add(run)
+    assert not summary.failed, "\n".join(f"{run.seed}: {'; '.join(run.problems)}" for run in summary.failed)
+    assert "done" in summary.outcomes

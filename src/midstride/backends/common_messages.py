@@ -12,6 +12,8 @@ from typing import Any, Final
 
 from midstride.errors import NodeError
 
+# What a type is called, by its folder.
+_KINDS: Final = {"msg": "message type", "srv": "type of a service", "action": "type of a ROS action"}
 COMMON: Final = {"std_msgs": "String", "geometry_msgs": "Twist", "sensor_msgs": "Image", "nav_msgs": "Odometry"}
 
 
@@ -24,12 +26,17 @@ def types(library: str) -> Iterator[Any]:
 
 
 def message_class(name: str) -> type:
-    """The class of a message type, such as `std_msgs/msg/String`. Raises NodeError where it is not installed."""
-    package, _, kind = name.replace("/msg/", "/").partition("/")
+    """The class of a type, such as `std_msgs/msg/String`, also of a service or ROS action.
+
+    Raises NodeError where it is not installed.
+    """
+    package, *folder, kind = name.split("/")
+    where = folder[0] if folder else "msg"
     try:
-        found: type = getattr(import_module(f"{package}.msg"), kind)
+        found: type = getattr(import_module(f"{package}.{where}"), kind)
     except (ImportError, AttributeError):
-        raise NodeError(f"the message type {name} is not installed for {sys.executable}") from None
+        what = _KINDS.get(where, "type")
+        raise NodeError(f"the {what} {name} is not installed for {sys.executable}") from None
     return found
 
 

@@ -159,7 +159,9 @@ def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -
     if not configuration.has_port(port):
         return (Reason("port", (str(port),), f"{port.instance} has no port {port.port}"),)
     if connector not in configuration.context.connectors:
-        return (Reason("topic", (connector,), f"{connector} is not a topic of this system"),)
+        kind = wording.KIND_WORDS[configuration.component(port.instance).kind_of(port.port)].connector
+        because = f"{connector} is not {wording.indefinite(kind)} of this system"
+        return (Reason("topic", (connector,), because),)
     return ()
 
 

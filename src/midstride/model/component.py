@@ -20,6 +20,7 @@ from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 from immutables import Map
 
 from midstride.model.contract import NOTHING, ConnectorKind, Contract, Predicate, QoS, connector_kind
+from midstride.model.wording import KIND_WORDS
 
 ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
 
@@ -446,6 +447,11 @@ class ComponentSpec:
         if port not in self.inputs and self.find_owner(port) is None:
             return "topic"
         return connector_kind(self.type_of(port) or "")
+
+    def port_in_words(self, port: str) -> str:
+        """``input scan``, ``server map``"""
+        words = KIND_WORDS[self.kind_of(port)]
+        return f"{words.input if port in self.inputs else words.output} {port}"
 
     def service_ports(self) -> list[str]:
         """The servers and clients of services and ROS actions, as :meth:`ports` orders them."""

@@ -136,7 +136,9 @@ def _ownership(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]
         owners = [functionality.name for functionality in component if output in functionality.outputs]
         where = (*path, "outputs", str(index))
         if len(owners) > 1:
-            message = f"output {output} is owned by {len(owners)} functionalities: {', '.join(owners)}"
+            message = (
+                f"{component.port_in_words(output)} is owned by {len(owners)} functionalities: {', '.join(owners)}"
+            )
             yield Problem("E014", where, message, "let only one of them produce it")
         elif not owners and not misspelt and output not in guaranteed:  # else the mode that guarantees it is reported
             help = "add it to what a functionality `produces`"
@@ -181,15 +183,15 @@ def _one_endpoint(functionality: FunctionalitySpec, output: str, path: SubjectPa
         first_mode, first = stated[0]
         if guarantee.type != first.type:
             differ = f"type {first.type}", guarantee.type
-            help = f"write {first.type} in both, or use two outputs"
+            help = f"write {first.type} in both, or use two {KIND_WORDS[first.kind].output}s"
         elif not guarantee.qos.same_endpoint(first.qos):
             differ = _in_words(first.qos), _in_words(guarantee.qos)
             help = "state one QoS in both, or use two outputs"
         else:
             continue
         message = (
-            f"M3: output {output} is one endpoint, but has {differ[0]} in mode {first_mode.name}"
-            f" and {differ[1]} in mode {mode.name}"
+            f"M3: {KIND_WORDS[first.kind].output} {output} is one endpoint, but has {differ[0]} in mode"
+            f" {first_mode.name} and {differ[1]} in mode {mode.name}"
         )
         yield Problem("E012", (*path, "modes", mode.name, "guarantees", output), message, help)
         return True

@@ -25,8 +25,8 @@ def _once(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     if component.gate != "none":
         message = f"{name} is `once`, and has a gate (`gate {component.gate}`)"
         yield Problem("E028", (*path, "gate"), message, help)
-    parts = [("inputs", each, f"input {each}") for each in component.input_order]
-    parts += [("outputs", str(index), f"output {each}") for index, each in enumerate(component.outputs)]
+    parts = [("inputs", each, component.port_in_words(each)) for each in component.input_order]
+    parts += [("outputs", str(index), component.port_in_words(each)) for index, each in enumerate(component.outputs)]
     parts += [("functionalities", each, f"functionality {each}") for each in component.functionality_order]
     parts += [("holds", each, f"it holds {each}") for each in sorted(component.resource_usage)]
     parts += [("allows", str(index), f"it allows {each}") for index, each in enumerate(component.allows)]
@@ -43,7 +43,8 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         if port not in component.inputs and not component.has_output(port):
             yield Problem(_CODE, where, f"{name} has no port {port}, for which a name of a topic is stated")
         elif component.gate is None:
-            message = f"port {port} of {name} states what the program calls its topic, but {name} has no gate"
+            connector = KIND_WORDS[component.kind_of(port)].connector
+            message = f"port {port} of {name} states what the program calls its {connector}, but {name} has no gate"
             yield Problem(_CODE, where, message, 'omit it, or state the gate: `run "…" gate preload`')
     yield from _services(component, path)
     yield from _mode_parameters(component, path)
@@ -81,11 +82,10 @@ def _services(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
     if component.run is None or component.gate != "relay":
         return
     for port in component.service_ports():
-        words = KIND_WORDS[component.kind_of(port)]
         output = component.has_output(port)
         where = (*path, "outputs", str(component.outputs.index(port))) if output else (*path, "inputs", port)
-        what = f"{words.output if output else words.input} {port}"
-        message = f"{what} cannot be declared yet: {component.name} uses `gate relay`, which passes messages on"
+        because = f"{component.name} uses `gate relay`, which passes messages on"
+        message = f"{component.port_in_words(port)} cannot be declared yet: {because}"
         help = 'state another gate (`run "…" gate preload`), or omit it and state `allows`'
         yield Problem(_CODE, where, message, help)
 

@@ -24,7 +24,7 @@ from midstride.model.component import (
 )
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, explain, format_number, satisfies
-from midstride.model.wording import KIND_WORDS
+from midstride.model.wording import KIND_WORDS, indefinite
 
 _SHOWN = 8  # how many names a message lists
 
@@ -114,7 +114,7 @@ class Evaluator:
     def why_connector_unsatisfied(self, name: str) -> str:
         connector = self.configuration.context.connectors.get(name)
         if connector is None:
-            return f"{name} is not a topic of this system"
+            return f"{name} is not declared in this system"
         shortfalls = []
         for output in sorted(self.configuration.publishers_on(name)):
             owner = self.configuration.component(output.instance).owner(output.port)
@@ -160,7 +160,9 @@ class Evaluator:
                 word = KIND_WORDS[inputs[name].kind].input
                 reasons.append(f"{word} {ref.instance}.{name} does not satisfy it ({clauses})")
         if not reasons:
-            reasons.append(f"{ref} uses no input, and the environment does not guarantee it")
+            reasons.append(
+                f"{ref} uses no {KIND_WORDS[assumption.kind].input}, and the environment does not guarantee it"
+            )
         return f"assumes {assumption}: " + "; ".join(reasons)
 
     def violations_of(self, refs: Iterable[FunctionalityRef]) -> Iterator[Violation]:
@@ -225,7 +227,8 @@ def violations(configuration: Configuration) -> list[Violation]:
         if not configuration.has_port(port):
             because = f"{port} is not a port of a live component"
         elif connector not in configuration.context.connectors:
-            because = f"{connector} is not a topic of this system"
+            kind = KIND_WORDS[configuration.component(port.instance).kind_of(port.port)].connector
+            because = f"{connector} is not {indefinite(kind)} of this system"
         else:
             continue
         found.append(Violation("attachment", f"{port} on {connector}", because, (str(port), connector)))

@@ -269,13 +269,14 @@ def _unsatisfiable(specification: Specification) -> Iterator[Problem]:
                 for index, assumption in enumerate(mode.assumptions):
                     if isinstance(assumption, InputAlternatives):
                         continue
-                    given = [(f"input {port}", component.inputs[port]) for port in functionality.inputs]
+                    given = [(component.port_in_words(port), component.inputs[port]) for port in functionality.inputs]
                     given += [(f"environment {offer.name}", offer.guarantee) for offer in offers]
                     if any(satisfies(predicate, assumption) for _, predicate in given):
                         continue
                     alike = ((source, predicate) for source, predicate in given if predicate.type == assumption.type)
                     shortfalls = [f"{source}: {', '.join(explain(each, assumption))}" for source, each in alike]
-                    nothing = f"no input of {functionality.name} and no environment guarantee has that type"
+                    kind = KIND_WORDS[assumption.kind].input
+                    nothing = f"no {kind} of {functionality.name} and no environment guarantee has that type"
                     unmet = f"mode {mode.name} of {functionality.name} assumes {assumption}, which nothing can satisfy"
                     where = ("components", name, "functionalities", functionality.name, "modes", mode.name)
                     message = f"{unmet}: {'; '.join(shortfalls) or nothing}"

@@ -15,13 +15,15 @@ answers all else.
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, NamedTuple, TypeAlias
+from functools import partial
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from midstride.node.accepted_goals import Goals
 
@@ -122,6 +124,40 @@ class RequestAdmission:
                 self._held[request] = _Held(request, now, later, passable, asks_for)
             self._forget_old(now)
             return self.is_open
+
+    def handle(
+        self,
+        request: str,
+        serve: Callable[[], Any],
+        respond: Callable[[Any], object],
+        later: Callable[[Callable[[], Any]], object],
+    ) -> None:
+        """Call ``serve`` for a ``request`` that was admitted, and ``respond`` with its result: None where it raises.
+
+        The result may be an awaitable. ``later`` has the data thread call a function, or drive it where it is async.
+        """
+        awaited, result = False, None
+        try:
+            result = serve()
+            awaited = inspect.isawaitable(result)
+        finally:
+            if not awaited:
+                self._answer(request, result, respond)
+        if awaited:
+            later(partial(self._finish, request, result, respond))
+
+    async def _finish(self, request: str, awaitable: Any, respond: Callable[[Any], object]) -> None:
+        result = None
+        try:
+            result = await awaitable
+        finally:
+            self._answer(request, result, respond)
+
+    def _answer(self, request: str, result: Any, respond: Callable[[Any], object]) -> None:
+        try:
+            respond(result)
+        finally:
+            self.finished(request)
 
     def turn(self, request: str, about: str, later: Callable[[], object]) -> Turn:
         """Whose turn it is with a request about the goal ``about``, or, where that is empty, to cancel many goals.

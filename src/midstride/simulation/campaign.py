@@ -10,12 +10,14 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Final
 
-from midstride.simulation.scenario import Scenario, rover
+from midstride.simulation.scenario import Scenario, built_in
 from midstride.simulation.seed_run import SeedRun, Simulation
 from midstride.simulation.system import System
 
 # How many seeds in succession change one system: the first of them brings it up.
 SHARED_BY: Final = 20
+# Of so many built-in systems in succession, the last one has services and ROS actions.
+SERVING: Final = 5
 
 
 @dataclass
@@ -60,7 +62,7 @@ class Runs:
     def _run(self, seed: int) -> SeedRun:
         drawn = random.Random(seed)
         current = None if self._system is None else self._system.specification
-        scenario = self._scenario or rover(drawn, current)
+        scenario = self._scenario or built_in(drawn, current, _system_of(seed))
         if self._system is None:
             self._system = System(scenario.specification, scenario.specifications())
         run = Simulation(seed, self._system, scenario, drawn).run()
@@ -73,6 +75,11 @@ class Runs:
         if self._system is not None:
             self._system.close()
             self._system = None
+
+
+def _system_of(seed: int) -> str:
+    """The built-in system that ``seed`` changes."""
+    return "docking" if seed // SHARED_BY % SERVING == SERVING - 1 else "rover"
 
 
 def _first(seed: int, scenario: Scenario | None) -> int:

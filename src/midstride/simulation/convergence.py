@@ -68,7 +68,10 @@ def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform
     process = platform.standing(instance)
     if process is None or process.state is None or instance in fenced:
         return None
-    attached = (port, manager.configuration.topic(step.topic)) in attachments(process)
+    topic = manager.configuration.topic(step.topic)
+    attached = (port, topic) in attachments(process)
+    if not manager.configuration.is_topic(step.topic):  # which of the servers answers is another question
+        attached = topic in process.state.ports.get(port, {})
     if attached == isinstance(step, AttachStep):
         return None
     return f"{step.port} is {'' if attached else 'not '}attached to {step.topic} after `{step.action}` is done"

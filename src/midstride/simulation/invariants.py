@@ -14,12 +14,18 @@ from typing import Final
 
 from midstride.backends.simulator.network import SimulatedWriter
 from midstride.model.component import FunctionalityRef
+from midstride.node.author.service_ports import ABSENT
+from midstride.node.control.shortfall import LONG_FLOOR
 from midstride.simulation.oracle import Oracle, Shown
 from midstride.simulation.platform import Platform
+from midstride.simulation.request_invariants import RequestInvariants
 from midstride.simulation.stand_in import StandIn
 
 # How long at most until a component notices by itself that an input with a rate is silent, also during a change (s).
 REFLEX: Final = 6.5
+# The same for a client whose server, which it had, is not in the graph any more (s): it may be missing for so long, and
+# the reflex looks every 0.1 s.
+CLIENT_REFLEX: Final = ABSENT + 1.0
 # After how long the old publisher continues at the latest if the new one does not take over (s).
 RESUMED: Final = 1.5
 # Two publishers that exchanged their topic this often within so many seconds were heard at once.
@@ -50,10 +56,13 @@ class Invariants:
     oracle: Oracle
     # Counted up with what is heard: part of the digest.
     heard: dict[str, int] = field(default_factory=dict)
+    requests: RequestInvariants = field(init=False)
     _shown: dict[str, Shown] = field(default_factory=dict)
     # Since when the assumption of each functionality is broken, and since when the manager could have reacted (s).
     _broken: dict[FunctionalityRef, float] = field(default_factory=dict)
     _free: dict[FunctionalityRef, float] = field(default_factory=dict)
+    # Since when the mode of each assumes clients whose servers are gone (s).
+    _serverless: dict[FunctionalityRef, float] = field(default_factory=dict)
     # What is shown has changed, or an assumption is broken.
     due: bool = False
     _changed: bool = False
@@ -62,11 +71,15 @@ class Invariants:
     _exchanged: dict[tuple[str, frozenset[int]], deque[float]] = field(default_factory=dict)
     _reported: set[str] = field(default_factory=set)
 
+    def __post_init__(self) -> None:
+        self.requests = RequestInvariants(self.platform, self.heard)
+
     def begin(
         self,
         reaction: Callable[[], float],
         lateness: Callable[[bool], float],
         uninterrupted: Callable[[], bool],
+        torn: Callable[[], bool],
         violated: Callable[[str], None],
     ) -> None:
         """A new seed begins.
@@ -76,9 +89,11 @@ class Invariants:
         fault that makes calls late; infinite where it may not know either that it was replaced. ``apart``: the two are
         on two machines.
         ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
+        ``torn()``: whether one of two instances may take the other one for dead.
         ``violated`` is called once for each violation, with words.
         """
         self.reaction, self.lateness, self.uninterrupted, self.violated = reaction, lateness, uninterrupted, violated
+        self.requests.torn, self.requests.violated = torn, self._violation
         self.heard.clear()
         self._reported.clear()
 
@@ -160,6 +175,7 @@ class Invariants:
             now = self.platform.time.steady()
             self._broken = {ref: self._broken.get(ref, now) for ref in self.oracle.broken(self._shown.values())}
             self._free = {ref: self._free.get(ref, now) for ref in self._broken}
+            self._serverless = {ref: at for ref, at in self._serverless.items() if ref in self._broken}
             self.due = bool(self._broken)
         if self._broken:
             self._check_reaction()
@@ -173,12 +189,22 @@ class Invariants:
                 self._free[ref] = now
             if process is None or not process.reacts:
                 self._broken[ref] = now  # what a hung call keeps waiting is not missing
+                self._serverless.pop(ref, None)
+            elif now > process.frozen_until + LONG_FLOOR and self._lacks_server(ref, process, now):
+                self._violation(f"{self._stays(ref)} has had no server for more than {CLIENT_REFLEX:g} s")
             elif now - self._free[ref] > reaction:
                 self._violation(f"{self._stays(ref)} is broken, and the manager does not react")
             elif now - since > REFLEX and self.oracle.reflex_applies(
                 self._shown[ref.instance], ref.functionality, received(process)
             ):
                 self._violation(f"{self._stays(ref)} is broken for more than {REFLEX:g} s")
+
+    def _lacks_server(self, ref: FunctionalityRef, process: StandIn, now: float) -> bool:
+        """Whether its mode should have been left, since a server is gone that it had."""
+        if not self.oracle.assumes_one_of(self._shown[ref.instance], ref.functionality, process.lost_servers()):
+            self._serverless.pop(ref, None)
+            return False
+        return now - self._serverless.setdefault(ref, now) > CLIENT_REFLEX
 
     def _stays(self, ref: FunctionalityRef) -> str:
         mode = dict(self._shown[ref.instance].modes)[ref.functionality]

@@ -51,6 +51,13 @@ class Oracle:
         self._needs: dict[tuple[str, str, str], tuple[frozenset[str], ...]] = {}
         self._accepts: dict[tuple[str, str, str], bool] = {}
 
+    @property
+    def served_outside(self) -> frozenset[str]:
+        """The services that the environment satisfies."""
+        return frozenset(
+            topic for topic in self._given if any(each.kind == "service" for each in self._topics.get(topic, ()))
+        )
+
     def period(self, topic: str) -> float:
         """The period of a topic that has a rate (s), else 0."""
         rates = [connector.guarantee.rate or 0.0 for connector in self._topics.get(topic, ())]
@@ -83,6 +90,11 @@ class Oracle:
         inputs, mode = shown.component.inputs, dict(shown.modes)[functionality]
         needed = self._needed(shown, functionality, mode)
         return all(inputs[name].rate and name in received for names in needed for name in names)
+
+    def assumes_one_of(self, shown: Shown, functionality: str, lost: Collection[str]) -> bool:
+        """Whether an assumption of its mode can be met by none but the inputs in ``lost``."""
+        needed = self._needed(shown, functionality, dict(shown.modes)[functionality])
+        return bool(lost) and any(names <= set(lost) for names in needed)
 
     def _provided(self, shown: Shown, functionality: str, mode: str, port: str, topic: str) -> bool:
         """Whether that output satisfies the topic in that mode."""

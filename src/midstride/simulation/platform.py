@@ -8,6 +8,7 @@ from pathlib import Path
 from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.model.component import StopTimes
+from midstride.node.component_host import Host
 from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.simulation.stand_in import StandIn
 
@@ -71,7 +72,14 @@ class Platform(Simulator):
         process.machine = f"machine {self._pids % self.machines}"
         return process
 
+    def _host(self, process: SimulatedProcess, name: str) -> Host:
+        host = super()._host(process, name)
+        assert isinstance(process, StandIn)
+        process.admission = host.admission
+        return host
+
     def _exited(self, process: SimulatedProcess) -> None:
         super()._exited(process)
         assert isinstance(process, StandIn)
+        process.exited_at = self.time.steady()
         self._on_change(process)

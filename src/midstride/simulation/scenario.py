@@ -117,6 +117,69 @@ node planner  : Planner  { objects <- /objects  map <- /map  out -> /path }
 node driver   : Driver   { path <- /path  alarms <- /alarms  out -> /velocity }
 """
 
+# Servers and clients: a service that depends on a topic, a ROS action, a client that can do without one of the two, and
+# one of the same service beside it. Its `guard` and `driver` are changed as those of the rover.
+_DOCKING: Final = """
+system docking
+
+contract GetMap = docking_msgs/srv/GetMap responds within 0.2 s
+contract Dock   = docking_msgs/action/Dock accepts within 0.2 s
+
+topic   /scan    : std_msgs/msg/String @ 5 Hz
+service /get_map : GetMap
+action  /dock    : Dock
+topic   /alarms  : std_msgs/msg/String @ 5 Hz
+topic   /goals   : std_msgs/msg/String @ 10 Hz
+
+component Lidar {
+  run "lidar"
+  output out
+  functionality scan { produces out  mode normal { guarantee out : std_msgs/msg/String @ 5 Hz }  mode off { } }
+}
+component MapServer {
+  run "map_server"
+  input in : std_msgs/msg/String @ 5 Hz
+  server map
+  functionality serve { uses in  produces map  mode normal { assume in  guarantee map : GetMap }  mode off { } }
+}
+component NewMapServer like MapServer { run "map_server" }
+component Charger {
+  run "charger"
+  action server dock
+  functionality charge { produces dock  mode normal { guarantee dock : Dock }  mode off { } }
+}
+component NewCharger like Charger { run "charger" }
+component Guard {
+  run "guard"
+  client map : GetMap
+  output out
+  functionality watch {
+    uses map  produces out
+    mode normal { assume map  guarantee out : std_msgs/msg/String @ 5 Hz }
+    mode off { }
+  }
+}
+component Driver {
+  run "driver"
+  parameters { changeable speed = 1 }
+  client map : GetMap
+  action client dock : Dock
+  output out
+  functionality drive weight 10 {
+    uses map, dock  produces out
+    mode normal   { assume map  assume dock  guarantee out : std_msgs/msg/String @ 10 Hz }
+    mode undocked { assume map  guarantee out : std_msgs/msg/String @ 10 Hz }
+    mode off      { }
+  }
+}
+
+node lidar      : Lidar     { out -> /scan }
+node map_server : MapServer { in <- /scan  map -> /get_map }
+node charger    : Charger   { dock -> /dock }
+node guard      : Guard     { map <- /get_map  out -> /alarms }
+node driver     : Driver    { map <- /get_map  dock <- /dock  out -> /goals }
+"""
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -142,17 +205,31 @@ def _steps(specification: Specification, request: PlanRequest) -> list[str]:
     return kinds + 2 * [kind for kind in kinds if kind == "handover"]
 
 
+# The built-in systems, and the components that have no state: while a state moves, nothing is called that could write,
+# and without one, only the gates keep two from being heard.
+_BUILT_IN: Final = {
+    "rover": (_ROVER, ("Lidar", "FastLidar")),
+    "docking": (_DOCKING, ("Lidar", "Charger", "NewCharger")),
+}
+
+
 @cache
-def _rover() -> Specification:
-    # While a state moves, nothing is called that could write: without one, only the gates keep two from being heard.
-    return with_stand_ins(load_text(_ROVER).require(), stateless=("Lidar", "FastLidar"))
+def _built_in(name: str) -> Specification:
+    text, stateless = _BUILT_IN[name]
+    return with_stand_ins(load_text(text).require(), stateless)
 
 
 # What may take the place of what.
 _REPLACEABLE: Final = {
-    "lidar": ("Lidar", "FastLidar"),
-    "detector": ("Detector", "NewDetector"),
-    "planner": ("Planner", "NewPlanner"),
+    "rover": {
+        "lidar": ("Lidar", "FastLidar"),
+        "detector": ("Detector", "NewDetector"),
+        "planner": ("Planner", "NewPlanner"),
+    },
+    "docking": {
+        "map_server": ("MapServer", "NewMapServer"),
+        "charger": ("Charger", "NewCharger"),
+    },
 }
 # Without waits, and with such that faults strike in them; the specification keeps them for the next seeds.
 _TIMINGS: Final[Sequence[Mapping[str, float]]] = (
@@ -160,35 +237,38 @@ _TIMINGS: Final[Sequence[Mapping[str, float]]] = (
     {"probation": 0.5, "probation_timeout": 1.0, "watch_after": 0.7},
 )
 # By the roles with their components, and the change.
-_rover_steps: Final[dict[tuple[object, ...], list[str]]] = {}
+_built_in_steps: Final[dict[tuple[object, ...], list[str]]] = {}
 
 
-def rover(random: random.Random, current: Specification | None = None) -> Scenario:
-    """The built-in system, as it is or as earlier changes have left it, with a drawn change of one or two nodes.
+def built_in(random: random.Random, current: Specification | None = None, name: str = "rover") -> Scenario:
+    """A built-in system, as it is or as earlier changes have left it, with a drawn change of one or two nodes.
 
-    A node that an earlier change has removed is added again before anything else.
+    A node that an earlier change has removed is added again before anything else. ``name``: `rover`, or `docking`,
+    which has services and ROS actions.
     """
-    specification = current or _rover()
-    request = _rover_change(random, specification)
+    specification = current or _built_in(name)
+    request = _built_in_change(random, specification)
     shape = sorted((role, node.component) for role, node in specification.nodes.items())
     key = (*shape, request.strategy, request.describe())
-    if key not in _rover_steps:
-        _rover_steps[key] = _steps(specification, request)
-    return Scenario(specification, (request,), _rover_steps[key])
+    if key not in _built_in_steps:
+        _built_in_steps[key] = _steps(specification, request)
+    return Scenario(specification, (request,), _built_in_steps[key])
 
 
-def _rover_change(random: random.Random, specification: Specification) -> PlanRequest:
+def _built_in_change(random: random.Random, specification: Specification) -> PlanRequest:
     strategy = random.choice(["minimal"] * 4 + ["paper", "quiesce"])
     kind = random.choice(
         ["replace", "replace", "replace", "two", "restart", "restart", "several", "several", "remove", "add", "set"]
     )
     roles = sorted(specification.nodes)
-    if missing := sorted(set(_rover().nodes) - set(roles)):
-        return PlanRequest(add=(_rover().nodes[missing[0]],), strategy=strategy)
+    nodes, replaceable = _built_in(specification.name).nodes, _REPLACEABLE[specification.name]
+    if missing := sorted(set(nodes) - set(roles)):
+        return PlanRequest(add=(nodes[missing[0]],), strategy=strategy)
     match kind:
         case "replace" | "two":
-            chosen = random.sample(sorted(_REPLACEABLE), 2 if kind == "two" else 1)
-            return PlanRequest(replace=tuple((role, _other(specification, role)) for role in chosen), strategy=strategy)
+            chosen = random.sample(sorted(replaceable), 2 if kind == "two" else 1)
+            replaced = tuple((role, _other(specification, role, *replaceable[role])) for role in chosen)
+            return PlanRequest(replace=replaced, strategy=strategy)
         case "restart":
             return PlanRequest(restart=(random.choice(roles),), strategy=strategy)
         case "several":  # those of them that commute are handed over side by side
@@ -208,9 +288,8 @@ def _rover_change(random: random.Random, specification: Specification) -> PlanRe
     return PlanRequest(to=specification.with_node(Node("driver", "Driver", node.attachments, parameters)))
 
 
-def _other(specification: Specification, role: str) -> str:
-    """What takes the place of ``role``."""
-    one, other = _REPLACEABLE[role]
+def _other(specification: Specification, role: str, one: str, other: str) -> str:
+    """Which of the two components takes the place of ``role``."""
     return other if specification.nodes[role].component == one else one
 
 

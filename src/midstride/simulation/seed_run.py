@@ -104,7 +104,7 @@ class Simulation:
         self._loop.random.seed(self._random.getrandbits(32))
         self._platform.network.random.seed(self._random.getrandbits(32))
         system.on_event, system.on_exit = self._on_manager_event, self._on_exit
-        system.invariants.begin(self._reaction, self._lateness, self._uninterrupted, self._violated)
+        system.invariants.begin(self._reaction, self._lateness, self._uninterrupted, self._torn, self._violated)
         self._platform.control.before_request = self._before_request
         self._platform.control.on_carried_out_twice = self._on_carried_out_twice
         self._step = "none"
@@ -306,6 +306,10 @@ class Simulation:
             each.strategy == "minimal" and (each.replace or each.restart) and not each.detours for each in requests
         )
         return handed_over and all(each.fault in OF_THE_MANAGER for each in self._struck)
+
+    def _torn(self) -> bool:
+        """Whether an instance may take another one for dead that lives: only what has exited cannot be reached."""
+        return self._has_struck("unreachable")
 
     def _has_struck(self, *faults: str) -> bool:
         return any(each.fault in faults for each in self._struck)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import zlib
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -19,16 +20,23 @@ from immutables import Map
 from midstride.backends.simulator.cooperative_thread import ThreadYield
 from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
 from midstride.codec.component_form import encode_component
-from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec
+from midstride.model.contract import ConnectorKind, connector_kind
 from midstride.model.specification import Specification
 from midstride.node.author.ports import Output
+from midstride.node.author.service_ports import ClientPort, ServerPort
+from midstride.node.request_admission import RequestAdmission
 from midstride.runtime.backend_protocol import Launch
 from midstride.simulation.puppet import Puppet
 from midstride.simulation.threadless import ThreadlessProcess
 from midstride.wire.state import ComponentState
 
 _NOTHING: Final = contextlib.nullcontext()
+# What the types of services and ROS actions consist of.
+_PARTS: Final[dict[ConnectorKind, tuple[str, ...]]] = {
+    "service": ("Request", "Response"),
+    "action": ("Goal", "Result", "Feedback"),
+}
 _PROGRAM: Final = ("python3", "-m", __name__)
 # What the stand-ins are, by the last word of their command.
 _described: Final[dict[str, tuple[ComponentSpec, dict[str, Any]]]] = {}
@@ -38,13 +46,9 @@ def with_stand_ins(specification: Specification, stateless: Collection[str] = ()
     """``specification`` with a stand-in as the program of each component that has one.
 
     ``stateless``: the components that have no state to move, as drivers of devices often. What changes require is taken
-    for met: what is published outside the system is not simulated. Stand-ins have topics only.
-
-    Raises PlanRefused where a service or a ROS action is declared.
+    for met: what is published outside the system is not simulated. Servers that use no API of ours are stood in for by
+    ones that do.
     """
-    services = sorted(name for name, each in specification.connectors.items() if each.kind != "topic")
-    if services:
-        raise PlanRefused(f"services and ROS actions cannot be simulated yet: {', '.join(services)}")
     components = {
         name: _stand_in(component, name not in stateless) for name, component in specification.components.items()
     }
@@ -88,9 +92,16 @@ def _with_the_api(component: ComponentSpec) -> ComponentSpec:
 
 
 @cache
-def _message_type(name: str) -> type:
-    """A class of messages of that type with a text, or any other field: stand-ins read and write nothing else."""
+def _type(name: str) -> type:
+    """A class of that type whose messages have a text, or any other field: stand-ins read and write nothing else."""
+    parts = _PARTS.get(connector_kind(name))
+    if parts is None:
+        return _message_type(name)
+    attributes = {"__msgtype__": name, **{part: _message_type(f"{name}_{part}") for part in parts}}
+    return type(name.rpartition("/")[2], (), attributes)
 
+
+def _message_type(name: str) -> type:
     def copied(message: Any, _: object) -> Any:
         copy = type(message)()
         copy.data = message.data
@@ -123,12 +134,15 @@ class _Program(SimulatedProgram):
         }
         self._description = {**described, "modes": self.modes}
         self.outputs: tuple[Output, ...] = ()
+        self.clients: tuple[ClientPort, ...] = ()
 
     def run(self) -> None:
         if self.component.once:  # it is done
             return
-        puppet = Puppet(self._description, _message_type)
-        self.outputs = tuple(puppet.outputs.values())
+        puppet = Puppet(self._description, _type)
+        # Servers have no messages: which of them answers is another question.
+        self.outputs = tuple(port for port in puppet.outputs.values() if not isinstance(port, ServerPort))
+        self.clients = puppet.clients
         puppet.start()
 
     def interpreter_state(self) -> contextlib.AbstractContextManager[None]:  # type: ignore[override]
@@ -139,6 +153,11 @@ class StandIn(ThreadlessProcess):
     """The process of a stand-in. ``on_state`` is called when it has published its state."""
 
     on_state: Callable[[StandIn], None]
+    # Decides which requests it answers, once its component has a host.
+    admission: RequestAdmission | None = None
+    # Since when it has reported that it answers (steady s); None while it does not. And when it has ended.
+    answers_since: float | None = None
+    exited_at: float = math.inf
     _published: ComponentState | None = None
 
     @property
@@ -148,6 +167,10 @@ class StandIn(ThreadlessProcess):
     @state.setter
     def state(self, state: ComponentState | None) -> None:
         self._published = state
+        if state is None or not state.answers:
+            self.answers_since = None
+        elif self.answers_since is None:
+            self.answers_since = self.clock.steady()
         if state is not None:
             self.on_state(self)
 
@@ -174,11 +197,26 @@ class StandIn(ThreadlessProcess):
             if link.open and not link.fenced
         }
 
+    @property
+    def answers(self) -> bool:
+        """Whether it runs, and answers requests."""
+        return not self.dead and self.admission is not None and self.admission.is_open
+
+    def lost_servers(self) -> set[str]:
+        """Its clients that have seen their server, or a response, and have no server in the graph now."""
+        seen = [port for port in self._stand_in.clients if port.attached and port.count]
+        return {port.name for port in seen if not any(link.endpoint.matched() for link in port.links)}
+
+    def bound_of(self, name: str) -> float | None:
+        """Within what its client of the service or ROS action ``name`` must have a response (s); None where none is."""
+        found = (port.within for port in self._stand_in.clients if port.link(name) is not None)
+        return next(found, None)
+
     def outputs_on(self, topic: str) -> list[str]:
         """The names of the outputs that are attached to ``topic``."""
         return [output.name for output in self._stand_in.outputs if output.link(topic) is not None]
 
-    def _run_thread(self, work: Callable[[], None] | None) -> ThreadYield:
+    def _run_thread(self, work: Callable[[], object] | None) -> ThreadYield:
         return self._thread.resume(work)  # its program does not touch the interpreter's state
 
     def _new_program(self, launch: Launch) -> SimulatedProgram:

@@ -44,6 +44,8 @@ class System:
         self.platform.time.follow(self.loop)
         self.invariants = Invariants(self.platform, Oracle(specifications))
         self.platform.network.on_publish = self.invariants.on_publish
+        self.platform.network.services.observer = self.invariants.requests
+        self.platform.network.services.outside = self.invariants.oracle.served_outside
         self.loop.observer = self.invariants
         self.disk = SimulatedDisk()
         self._policy, POLICY.on_forbidden = POLICY.on_forbidden, self._reject

@@ -8,7 +8,7 @@ from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from midstride.backends.simulator import messages
+from midstride.backends.simulator import type_imports
 from midstride.backends.simulator import virtual_loop as virtual
 from midstride.backends.simulator.control import SimulatedControl
 from midstride.backends.simulator.cooperative_thread import simulated_sleep
@@ -110,7 +110,7 @@ class Simulator(Backend):
     def _activate(self) -> None:
         self.time.follow(asyncio.get_running_loop())
         if not self._active:
-            self._patches.enter_context(messages.served())
+            self._patches.enter_context(type_imports.served())
             self._patches.enter_context(simulated_sleep())
             self._active = True
 

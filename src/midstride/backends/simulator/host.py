@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 import logging
 import threading
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from functools import partial
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 from midstride.backends.common import KeptParameters
 from midstride.backends.simulator.cooperative_thread import Sleeps
 from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
+from midstride.backends.simulator.service_endpoints import (
+    SimulatedActionClient,
+    SimulatedActionServer,
+    SimulatedClient,
+    SimulatedServer,
+)
+from midstride.backends.simulator.service_network import ServiceEnd
+from midstride.backends.simulator.simulated_future import SimulatedFuture
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.backends.simulator.virtual_clock import SimulatedTimer
-from midstride.errors import NodeError
 from midstride.model.contract import QoS
 from midstride.node.author.declared_contracts import type_name
 from midstride.node.clock_history import ClockHistory
@@ -34,7 +42,7 @@ class SimulatedHost:
     ros_node = None
     node_name = None
     publishes_ros_time = False
-    has_services = False
+    has_services = True
     reachable = "in this simulation"
 
     def __init__(self, process: SimulatedProcess, instance: str, network: Network, transport: Transport) -> None:
@@ -50,6 +58,8 @@ class SimulatedHost:
         self._process = process
         self._network = network
         self._clock = process.clock
+        self._servers: dict[str, SimulatedServer] = {}
+        self._action_servers: dict[str, SimulatedActionServer] = {}
         handler = logging.StreamHandler(process.log)
         handler.setFormatter(logging.Formatter("[%(levelname)s] [%(name)s]: %(message)s"))
         self.logger.addHandler(handler)
@@ -91,6 +101,8 @@ class SimulatedHost:
                 return
             if isinstance(waited_for, Sleeps):
                 self._clock.loop.call_later(waited_for.seconds, enqueue, step)
+            elif isinstance(waited_for, SimulatedFuture):
+                waited_for.add_done_callback(lambda _: step())
             elif isinstance(waited_for, asyncio.Future):
                 waited_for._asyncio_future_blocking = False
                 waited_for.add_done_callback(lambda _: enqueue(step))
@@ -119,17 +131,42 @@ class SimulatedHost:
     def read_info(self, info: Any) -> MessageInfo:
         return MessageInfo(*info)
 
-    def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> NoReturn:
-        raise NodeError(f"{name}: the simulator has no services as ports")
+    def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> SimulatedServer:
+        """Take up one that has been given up while another instance answered, and is still in the graph."""
+        if (server := self._servers.get(name)) is not None and server.type is type_:
+            server.resume(answer)
+            return server
+        end, gone = self._end(name, type_), partial(self._servers.pop, name, None)
+        self._servers[name] = SimulatedServer(end, name, answer, self.admission, self._post, gone)
+        return self._servers[name]
 
-    def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> NoReturn:
-        raise NodeError(f"{name}: the simulator has no ROS actions as ports")
+    def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> SimulatedActionServer:
+        """Take up one that has been given up while another instance answered, and is still in the graph."""
+        if (server := self._action_servers.get(name)) is not None and server.type is type_:
+            server.resume(answers)
+            return server
+        end, gone = self._end(name, type_), partial(self._action_servers.pop, name, None)
+        self._action_servers[name] = SimulatedActionServer(end, name, answers, self.admission, self._post, gone)
+        return self._action_servers[name]
 
-    def create_action_client(self, name: str, type_: type, accepted: Callable[[Any], None]) -> NoReturn:
-        raise NodeError(f"{name}: the simulator has no ROS actions as ports")
+    def create_client(self, name: str, type_: type) -> SimulatedClient:
+        return SimulatedClient(self._end(name, type_))
 
-    def create_client(self, name: str, type_: type) -> NoReturn:
-        raise NodeError(f"{name}: the simulator has no services as ports")
+    def create_action_client(self, name: str, type_: type, accepted: Callable[[Any], None]) -> SimulatedActionClient:
+        return SimulatedActionClient(self._end(name, type_), accepted)
+
+    def _end(self, name: str, type_: type) -> ServiceEnd:
+        return ServiceEnd(self._network.services, self._process, name, type_)
+
+    def _post(self, work: Callable[[], Any]) -> None:
+        """Have the data thread call ``work``, and drive it where it is async."""
+
+        def call() -> None:
+            result = work()
+            if inspect.iscoroutine(result):
+                self.run_coroutine(result, lambda: None)
+
+        self._process.enqueue(call)
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> SimulatedTimer:
         return SimulatedTimer(self._clock, self._process.enqueue, round(period * 1e9), epoch, callback)

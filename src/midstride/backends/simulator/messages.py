@@ -1,19 +1,13 @@
 """Message classes where no ROS is installed, from the ``rosbags`` package's type store.
 
-An import hook, after every real finder, serves ``from std_msgs.msg import String`` while a
-simulator is open. Fields not given have ROS's defaults.
+Fields not given have ROS's defaults.
 """
 
 from __future__ import annotations
 
 import array
-import importlib.abc
-import importlib.machinery
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import cache
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 # The type store has no default values; these are the ones that are not zero.
@@ -84,26 +78,25 @@ def _store() -> Any:
     return get_typestore(Stores.LATEST)
 
 
-@cache
-def _packages() -> dict[str, list[str]]:
-    """The names of the messages of each package."""
-    packages: dict[str, list[str]] = {}
-    for name in _store().fielddefs:
-        package, _, short = name.split("/")
-        packages.setdefault(package, []).append(short)
-    return packages
+def message_names() -> list[str]:
+    """The messages of the type store, as ``pkg/msg/Name``."""
+    return list(_store().fielddefs)
 
 
 @cache
 def message_class(name: str) -> type[SimulatedMessage]:
     """The class of ``pkg/msg/Name``. Raises KeyError for one that the type store does not have."""
-    constants, fields = _store().fielddefs[name]
-    package, _, short = name.split("/")
+    return fields_class(name, *_store().fielddefs[name])
+
+
+def fields_class(name: str, constants: Sequence[Any], fields: Sequence[Any]) -> type[SimulatedMessage]:
+    """A class of that name with these constants and fields, as the type store describes them."""
+    package, folder, short = name.split("/")
     given = DEFAULTS.get(name, {})
     defaults = {field: _constant(given[field]) if field in given else _default(kind) for field, kind in fields}
     attributes: dict[str, Any] = {
         "__msgtype__": name,
-        "__module__": f"{package}.msg",
+        "__module__": f"{package}.{folder}",
         "_defaults": defaults,
         "_types": {field: _type_name(kind) for field, kind in fields},
         **{constant: value for constant, _, value in constants},
@@ -156,46 +149,3 @@ def _type_name(kind: Any) -> str:
         return str(detail).replace("/msg/", "/")
     element = _type_name(detail[0])
     return f"{element}[{detail[1]}]" if node.name == "ARRAY" else f"sequence<{element}>"
-
-
-class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds ``pkg`` and ``pkg.msg`` for the packages of the type store, where no other finder does."""
-
-    def __init__(self) -> None:
-        self.served: list[str] = []
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> importlib.machinery.ModuleSpec | None:
-        package, _, rest = fullname.partition(".")
-        if rest not in ("", "msg") or package not in _packages():
-            return None
-        return importlib.machinery.ModuleSpec(fullname, self, is_package=not rest)
-
-    def exec_module(self, module: ModuleType) -> None:
-        package, _, rest = module.__name__.partition(".")
-        self.served.append(module.__name__)
-        if rest:
-            for short in _packages()[package]:
-                setattr(module, short, message_class(f"{package}/msg/{short}"))
-
-
-_finder: Final = _Finder()
-_open = 0
-
-
-@contextmanager
-def served() -> Iterator[None]:
-    """While open, packages of messages can be imported without ROS."""
-    global _open
-    _open += 1
-    if _finder not in sys.meta_path:
-        sys.meta_path.append(_finder)
-    try:
-        yield
-    finally:
-        _open -= 1
-        if not _open:
-            sys.meta_path.remove(_finder)
-            while _finder.served:
-                sys.modules.pop(_finder.served.pop(), None)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from midstride.backends.simulator.message_copy import copied
+from midstride.backends.simulator.service_network import ServiceNetwork
 from midstride.backends.simulator.simulated_process import THAW_INTERVAL, SimulatedProcess
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.model.contract import QoS
@@ -135,6 +136,12 @@ class Network:
         # What is in flight between two endpoints, in order: timers of the same moment fire in any order.
         self._in_flight: dict[tuple[SimulatedWriter, SimulatedReader], deque[tuple[float, Any, Any]]] = {}
 
+        self.services = ServiceNetwork(self)
+
+    def drawn_latency(self) -> float:
+        """The latency of a message that is sent now (s)."""
+        return self.latency + (self.random.uniform(0.0, self._jitter) if self._jitter else 0.0)
+
     def next_identity(self) -> str:
         self._identities += 1
         return f"{self._identities:04x}"
@@ -164,6 +171,7 @@ class Network:
 
     def remove_process(self, owner: SimulatedProcess) -> None:
         """Remove the endpoints of a process that has ended."""
+        self.services.remove_process(owner)
         for topic in self.topics.values():
             topic.writers = [writer for writer in topic.writers if writer.owner is not owner]
             for reader in topic.readers:
@@ -218,8 +226,7 @@ class Network:
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
     ) -> None:
         now = self.clock.steady()
-        jitter = self.random.uniform(0.0, self._jitter) if self._jitter else 0.0
-        at = now + self.latency + jitter + self.topic(writer.topic).delay + extra
+        at = now + self.drawn_latency() + self.topic(writer.topic).delay + extra
         waiting = self._in_flight.setdefault((writer, reader), deque())
         if waiting:
             at = max(at, waiting[-1][0])

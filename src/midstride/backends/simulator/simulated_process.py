@@ -61,13 +61,15 @@ class SimulatedProcess:
         self.machine = MEMORY
         self._on_exit = on_exit
         self._program = self._new_program(launch)
-        self._queue: deque[Callable[[], None]] = deque()
+        self._queue: deque[Callable[[], object]] = deque()
         self._scheduled = False
         # Until when it is frozen (steady s); in the past where it is not, and 0 where it has never been.
         self.thawed_at = 0.0
         # The same for when its code does not react: it is frozen, or does not return from a call, while its control
         # thread answers.
         self._reacts_at = 0.0
+        # Until when it was frozen, and did not react, before that was ended early (steady s).
+        self._was_frozen = self._was_hung = 0.0
         self._asleep = False
         context = contextvars.copy_context()
         own = process_context.ProcessContext(
@@ -92,7 +94,7 @@ class SimulatedProcess:
     def _new_thread(self, context: contextvars.Context) -> CooperativeThread:
         return CooperativeThread(self.instance, self._program.run, context)
 
-    def resume(self, work: Callable[[], None] | None = None) -> None:
+    def resume(self, work: Callable[[], object] | None = None) -> None:
         """Let the thread run, and handle what it yields for."""
         if self.dead:
             return
@@ -110,11 +112,11 @@ class SimulatedProcess:
         else:
             self.kill(self._program.status(yielded.error))
 
-    def _run_thread(self, work: Callable[[], None] | None) -> ThreadYield:
+    def _run_thread(self, work: Callable[[], object] | None) -> ThreadYield:
         with self._program.interpreter_state():
             return self._thread.resume(work)
 
-    def enqueue(self, item: Callable[[], None]) -> None:
+    def enqueue(self, item: Callable[[], object]) -> None:
         """Have the thread call ``item`` after what is queued already."""
         if not self.dead:
             self._queue.append(item)
@@ -137,7 +139,7 @@ class SimulatedProcess:
 
     def run_work(self) -> None:
         """In its thread: let the loop run until there is work, and do that."""
-        work: Callable[[], None] = self._thread.yield_to_loop(None)
+        work: Callable[[], object] = self._thread.yield_to_loop(None)
         work()
 
     def _wake(self) -> None:
@@ -179,6 +181,8 @@ class SimulatedProcess:
 
     def thaw(self) -> None:
         """End :meth:`freeze` and :meth:`hang`."""
+        now = self.clock.steady()
+        self._was_frozen, self._was_hung = min(now, self.frozen_until), min(now, self.reacts_since)
         self.thawed_at = self._reacts_at = 0.0
         self._scheduled = False
         self._schedule()
@@ -187,6 +191,16 @@ class SimulatedProcess:
     def runs(self) -> bool:
         """Whether it is neither dead nor frozen."""
         return not self.dead and (not self.thawed_at or self.thawed_at <= self.clock.steady())
+
+    @property
+    def reacts_since(self) -> float:
+        """Since when it has reacted without interruption, or from when on it will (steady s)."""
+        return max(self._reacts_at, self._was_hung)
+
+    @property
+    def frozen_until(self) -> float:
+        """Until when it was frozen last, or is (steady s); 0 where it never was."""
+        return max(self.thawed_at, self._was_frozen)
 
     @property
     def reacts(self) -> bool:

@@ -12,6 +12,7 @@ from immutables import Map
 from midstride.errors import NodeError
 from midstride.model import component as model
 from midstride.model.contract import NOTHING, Predicate, explain, satisfies
+from midstride.model.wording import KIND_WORDS
 from midstride.node.author.declared_parameters import Parameter
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import DeclaredMode
@@ -118,8 +119,9 @@ def _check_monotonic(functionality: Functionality, modes: tuple[model.Mode, ...]
             needed, offered = worse.guarantee(port.name), better.guarantee(port.name)
             if needed is NOTHING or satisfies(offered, needed):
                 continue
+            what = KIND_WORDS[needed.kind].output
             raise NodeError(
-                f"functionality {functionality.name}: mode {worse.name} guarantees {needed} on output {port.name}, and "
+                f"functionality {functionality.name}: mode {worse.name} guarantees {needed} on {what} {port.name}, and "
                 f"the better mode {better.name} does not ({', '.join(explain(offered, needed))}); a better mode must "
                 f"guarantee at least as much: add the output to outputs=, or state it in guarantees="
             )

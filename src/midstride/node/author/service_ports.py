@@ -314,7 +314,7 @@ class ClientPort(Input):
         if link is None:
             raise NodeError(f"client {self.name} is attached to no service; call it in a mode that assumes it")
         send = partial(link.service.call, request, *more)
-        if self._waits or not (self._there or link.service.matched()):
+        if self._waits or not link.service.matched():
             return self._awaited(link, _Call(link.service.unsent(), link.service, True, send=send))
         return self._sent(link, send())
 

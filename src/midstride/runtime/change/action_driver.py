@@ -291,9 +291,8 @@ class ActionDriver:
         configuration = self.configuration
         if configuration.component(port.instance).gate is None:
             return False
-        server = configuration.is_output(port) and not configuration.is_topic(connector)
         ends = self.rolling_back or port.instance in self.change.leaving or self.system.life.is_gone(port.instance)
-        return server and not ends
+        return self._serves(port, connector) and not ends
 
     def _require_successor(self, leaving: str) -> None:
         """Raises StepFailed if what replaces an instance without taking over a topic has exited already.
@@ -382,6 +381,26 @@ class ActionDriver:
         if new is not None and new not in self.configuration.instances and leaving in self._keeping:
             self.own_state[new] = own_state(leaving, new, because)
 
+    async def _answer_where_none_serves(self, instance: str) -> None:
+        """Have a new server answer where no other instance of its role serves: nothing is handed over to it then."""
+        role = self.configuration.instances[instance].role
+        for other in self.configuration.instances_of(role):
+            attached = [port for port, key in self.configuration.attached_ports(other.name) if self._serves(port, key)]
+            if other.name == instance or attached:
+                continue
+            runs = not self.system.life.is_gone(other.name)
+            try:
+                left = await have_answer(
+                    self.client, instance, other.name if runs else None, other.component.stop_times.drain
+                )
+                if left is not None:
+                    self.events.add("note", left)
+            except MidstrideError as error:
+                self.events.add("note", f"{instance} does not answer requests to {role} yet: {error}")
+
+    def _serves(self, port: PortRef, connector: str) -> bool:
+        return self.configuration.is_output(port) and not self.configuration.is_topic(connector)
+
     async def _change_answering(self, leaving: str, runs: bool) -> None:
         """If another instance has the role of one that leaves, have it answer requests from now on."""
         role = self.configuration.instances[leaving].role
@@ -421,6 +440,8 @@ class ActionDriver:
             )
             detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
             await self._or_undo(port.instance, attach, detach)
+            if output:
+                await self._answer_where_none_serves(port.instance)
             return
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self.system.life.is_gone(other.instance) for other in others)

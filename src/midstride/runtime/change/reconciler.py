@@ -41,7 +41,7 @@ log = logging.getLogger(__name__)
 
 # After how long a component that has refused to degrade a functionality is asked again (s).
 REFUSED_INTERVAL: Final = 1.0
-_GONE_BEFORE: Final = "its input was gone before it could be degraded"
+_GONE_BEFORE: Final = "what it relied on was gone before it could be degraded"
 
 
 class ReconciliationObserver:

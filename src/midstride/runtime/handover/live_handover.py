@@ -139,7 +139,6 @@ class LiveHandover:
             await self._undo()
             raise
         await self._change_answering()
-        await self._open_servers()
         for swap in (*self.swaps, *self._services):
             if self.client.life.is_gone_or_fenced(swap.old.instance):
                 continue
@@ -194,7 +193,7 @@ class LiveHandover:
         return all([await self._has_exited(old) for old, _ in self._pairs])
 
     async def _attach_servers(self) -> None:
-        """Raises StepFailed where requests cannot be handed over."""
+        """Attach the new servers: their gates are open once they answer. Raises StepFailed if they cannot take over."""
         for swap in self._services:
             require_answering(self.configuration, swap)
             attach = commands.AttachCommand(
@@ -202,7 +201,6 @@ class LiveHandover:
                 topic=self._topic(swap),
                 peers=0,
                 timeout=ATTACH_TIMEOUT,
-                gate="closed",
                 await_ready=False,
             )
             await self.client.change(swap.new.instance, attach)
@@ -222,14 +220,6 @@ class LiveHandover:
         runs, drain = not self.client.life.is_gone(old), self.configuration.component(old).stop_times.drain
         if (left := await have_answer(self.client, new, old if runs else None, drain)) is not None:
             self.events.add("note", left)
-
-    async def _open_servers(self) -> None:
-        for swap in self._services:
-            opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open")
-            try:
-                await self.client.change(swap.new.instance, opening)
-            except MidstrideError as error:
-                self.events.add("note", f"{swap.new} does not report {swap.connector} as its own yet: {error}")
 
     async def _change_answering(self) -> None:
         """Have each replacement answer the requests to its role's node."""

@@ -6,7 +6,7 @@ specification: the same ports and functionalities, guarantees at least as strong
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Final, Literal
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
@@ -18,14 +18,15 @@ from midstride.wire.state import Endpoint
 def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
     """Every way in which ``registered`` violates the declaration; empty iff it matches."""
     found = [
-        *_names("input", declared.input_order, registered.input_order),
-        *_names("output", declared.outputs, registered.outputs),
-        *_names("functionality", declared.functionality_order, registered.functionality_order),
+        *_names(declared.input_order, registered.input_order, declared.port_in_words, registered.port_in_words),
+        *_names(declared.outputs, registered.outputs, declared.port_in_words, registered.port_in_words),
+        *_names(declared.functionality_order, registered.functionality_order, _of_functionality, _of_functionality),
     ]
     for name in declared.input_order:
         needed, ours = declared.inputs[name], registered.inputs.get(name)
         if ours is not None and (clauses := explain(needed, ours)):
-            found.append(f"input {name} assumes {ours}, more than the declared {needed} ({', '.join(clauses)})")
+            assumed = f"{registered.port_in_words(name)} assumes {ours}"
+            found.append(f"{assumed}, more than the declared {needed} ({', '.join(clauses)})")
     for functionality in declared:
         if (theirs := registered.functionalities.get(functionality.name)) is not None:
             found += _functionality(declared, functionality, theirs)
@@ -57,13 +58,22 @@ def unexpected_endpoints(declared: ComponentSpec, nodes: Collection[str], endpoi
     ]
 
 
-def _names(kind: str, declared: Sequence[str], registered: Sequence[str]) -> Iterator[str]:
+def _of_functionality(name: str) -> str:
+    return f"functionality {name}"
+
+
+def _names(
+    declared: Sequence[str],
+    registered: Sequence[str],
+    declared_in_words: Callable[[str], str],
+    registered_in_words: Callable[[str], str],
+) -> Iterator[str]:
     for name in declared:
         if name not in registered:
-            yield f"{kind} {name} is declared, but the node does not have it"
+            yield f"{declared_in_words(name)} is declared, but the node does not have it"
     for name in registered:
         if name not in declared:
-            yield f"the node has {kind} {name}, which is not declared"
+            yield f"the node has {registered_in_words(name)}, which is not declared"
 
 
 def _functionality(

@@ -222,12 +222,12 @@ class BringUp:
         self.system.forget_filled_roles()
         self.reconciler.save_values()
         names = ", ".join(instance.name for instance in gone if not instance.component.once)
-        await self.reconciler.reconcile_all(f"{names} exited" if names else "its input was gone")
+        await self.reconciler.reconcile_all(f"{names} exited" if names else "what it relied on was gone")
         if any(isinstance(error, CommandRefused) for error in self.reconciler.pending.values()):
             await self.reconciler.reconcile()  # its state had just changed
         if pending := self.reconciler.pending:
             words = "; ".join(
-                f"{ref} is without its input and could not be degraded: {e}" for ref, e in pending.items()
+                f"{ref} lacks what it relies on, and could not be degraded: {e}" for ref, e in pending.items()
             )
             raise ManagerError(f"{words}. End the process that hangs with `kill -9`, then run `midstride up` again")
         present = self.system.configuration.instances_by_role

@@ -258,8 +258,11 @@ class Restorer(ReconciliationObserver):
             return f"restoring in {max(0.0, due - self.clock.steady()):.1f} s ({record.number} of {POLICY.limit})"
         if (latest.state.functionalities[ref.functionality].busy or 0.0) > HANGS:  # it takes no input meanwhile either
             return "restored when its call has returned"
-        missing = ", ".join(dict.fromkeys(lacking(self.system.configuration, ref, 0, latest.state)))
-        return f"restored when {f'input {missing} is' if missing else 'what it relies on is'} back"
+        component = self.system.configuration.component(ref.instance)
+        missing = dict.fromkeys(lacking(self.system.configuration, ref, 0, latest.state))
+        named = ", ".join(map(component.port_in_words, missing))
+        are = "are" if len(missing) > 1 else "is"
+        return f"restored when {named or 'what it relies on'} {are} back"
 
 
 def lacking(configuration: Configuration, ref: FunctionalityRef, index: int, state: ComponentState) -> Iterator[str]:

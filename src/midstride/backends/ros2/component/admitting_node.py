@@ -5,7 +5,6 @@ The instances of a role have one node name, so every request to the node reaches
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
@@ -75,29 +74,7 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
     types = service.srv_type
 
     def handle(identity: str, request: Any, response: Any, respond: Callable[[Any], object]) -> None:
-        """Call the callback, and ``respond`` with its result: with None where it raises."""
-        awaited, result = False, None
-        try:
-            result = serve(request, response)
-            awaited = inspect.isawaitable(result)
-        finally:
-            if not awaited:
-                answered(identity, result, respond)
-        if awaited:
-            later(partial(finish, identity, result, respond))
-
-    async def finish(identity: str, awaitable: Any, respond: Callable[[Any], object]) -> None:
-        result = None
-        try:
-            result = await awaitable
-        finally:
-            answered(identity, result, respond)
-
-    def answered(identity: str, result: Any, respond: Callable[[Any], object]) -> None:
-        try:
-            respond(result)
-        finally:
-            admission.finished(identity)
+        admission.handle(identity, lambda: serve(request, response), respond, later)
 
     def answer(pending: tuple[Any, Any], header: Any) -> None:
         request, response = pending

@@ -5,7 +5,6 @@ All of it runs on the data thread, unless stated.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from copy import copy
 from typing import Any, Final
@@ -15,6 +14,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.qos import QoSProfile, qos_profile_services_default
 from rclpy.task import Future
 
+from midstride.backends.retiring_server import RetiringServer
 from midstride.node.component_host import GoalAnswers
 from midstride.node.request_admission import RequestAdmission
 
@@ -29,11 +29,8 @@ def _deep_queue() -> QoSProfile:
     return profile
 
 
-class RosServer:
-    """The service ``name`` of ``node``. ``answer`` is that of the server that it belongs to now.
-
-    ``later`` has the executor call a function; ``gone`` is called when it has left the graph.
-    """
+class RosServer(RetiringServer[Callable[[Any, Any], Any]]):
+    """The service ``name`` of ``node``. ``gone`` is called when it has left the graph."""
 
     def __init__(
         self,
@@ -47,41 +44,15 @@ class RosServer:
         later: Callable[[Callable[[], None]], object],
         gone: Callable[[RosServer], object],
     ) -> None:
-        self.name = name
-        self.type = type_
-        self.answer = answer
-        self._node, self._admission, self._later, self._gone = node, admission, later, gone
-        self._under_way = 0
-        self._retired = False
+        super().__init__(name, type_, answer, admission, later)
+        self._node, self._gone = node, gone
         self.service = node.create_service(type_, name, self._serve, qos_profile=_deep_queue(), callback_group=group)
 
     def _serve(self, request: Any, response: Any) -> Any:
-        result = self.answer(request, response)
-        if not inspect.isawaitable(result):
-            return result
-        self._under_way += 1
-        return self._finish(result)
-
-    async def _finish(self, result: Any) -> Any:
-        try:
-            return await result
-        finally:
-            self._under_way -= 1
-            if self._retired:
-                self._later(self._leave)  # once the response has been sent
-
-    def resume(self, answer: Callable[[Any, Any], Any]) -> None:
-        """Belong to a server again."""
-        self.answer, self._retired = answer, False
-
-    def retire(self) -> None:
-        self._retired = True
-        if self._admission.is_open:
-            self._answer_waiting()
-            self._leave()
+        return self._in_time(self.answer(request, response))
 
     def _answer_waiting(self) -> None:
-        """Answer what has arrived and waits for the executor, as that would."""
+        """Answer as the executor would."""
         service, types = self.service, self.service.srv_type
         while True:
             with service.handle:
@@ -91,14 +62,13 @@ class RosServer:
             service.send_response(service.callback(request, types.Response()), header)
 
     def _leave(self) -> None:
-        if self._retired and not self._under_way and self._admission.is_open:
-            self._admission.passed_handlers.pop(self.service.service_name, None)
-            self._node.destroy_service(self.service)
-            self._gone(self)
+        self.admission.passed_handlers.pop(self.service.service_name, None)
+        self._node.destroy_service(self.service)
+        self._gone(self)
 
 
-class RosActionServer:
-    """The ROS action ``name`` of ``node``, for the server that it belongs to now."""
+class RosActionServer(RetiringServer[GoalAnswers]):
+    """The ROS action ``name`` of ``node``: in the graph until its goals have ended."""
 
     def __init__(
         self,
@@ -112,12 +82,8 @@ class RosActionServer:
         later: Callable[[Callable[[], None]], object],
         gone: Callable[[RosActionServer], object],
     ) -> None:
-        self.name = name
-        self.type = type_
-        self.answer = answers
-        self._admission, self._later, self._gone = admission, later, gone
-        self._under_way = 0
-        self._retired = False
+        super().__init__(name, type_, answers, admission, later)
+        self._gone = gone
         self.service = ActionServer(
             node,
             type_,
@@ -129,30 +95,14 @@ class RosActionServer:
         )
 
     def _accepts(self, goal: Any) -> bool:
-        return not self._retired and self.answer.accepts(goal)
+        return not self.retired and self.answer.accepts(goal)
 
     async def _execute(self, goal: Any) -> Any:
-        self._under_way += 1
-        try:
-            return await self.answer.execute(goal)
-        finally:
-            self._under_way -= 1
-            if self._retired:
-                self._later(self._leave)
-
-    def resume(self, answers: GoalAnswers) -> None:
-        """Belong to a server again."""
-        self.answer, self._retired = answers, False
-
-    def retire(self) -> None:
-        """Accept no goal any more, and leave the graph when those in progress have ended."""
-        self._retired = True
-        self._leave()
+        return await self._in_time(self.answer.execute(goal))
 
     def _leave(self) -> None:
-        if self._retired and not self._under_way and self._admission.is_open:
-            self.service.destroy()
-            self._gone(self)
+        self.service.destroy()
+        self._gone(self)
 
 
 class _Caller:

@@ -1,0 +1,130 @@
+"""Servers and clients as ports: requests, goals, their hand-over, and a client whose server has gone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tests.conformance import puppets
+from tests.conformance.lab import Lab, assert_unbroken, service_check
+
+
+async def _ask(lab: Lab, description: puppets.Description, name: str = "/answer") -> None:
+    await lab.start("asker", description)
+    await lab.attach("asker", "ask", name)
+    await lab.mode("asker", "ask", "normal")
+
+
+async def _serve(lab: Lab, instance: str, description: puppets.Description, replaces: str = "") -> None:
+    await lab.start(instance, description, replaces)
+    await lab.attach(instance, "answer", "/answer")
+    await lab.mode(instance, "serve", "normal")
+
+
+async def _responses(lab: Lab) -> list[str]:
+    return list((await lab.exported("asker"))["responded"].get("ask", []))
+
+
+async def _settled(lab: Lab) -> dict[str, Any]:
+    """What the client has exported, once it has stopped and nothing is under way."""
+    await lab.mode("asker", "ask", "degraded")
+
+    def is_settled(exported: dict[str, Any]) -> bool:
+        ended = len(exported["responded"].get("ask", [])) + exported["unanswered"].get("ask", 0)
+        return bool(exported["asked"]["ask"] == ended)
+
+    settled: dict[str, Any] = await lab.eventually("each request has ended", lambda: lab.exported("asker"), is_settled)
+    return settled
+
+
+async def _handed_over(lab: Lab, kind: str) -> dict[str, Any]:
+    """Requests from before a change-over until after it; what the client has exported then."""
+    await _serve(lab, "old", puppets.server(kind=kind))
+    await _ask(lab, puppets.asker(kind))
+    await lab.eventually("the old one responds", lambda: _responses(lab))
+    await _serve(lab, "new", puppets.server(kind=kind), replaces="old")
+    assert (await lab.port("old", "answer", "/answer"))["gate"] == "open"
+    assert (await lab.port("new", "answer", "/answer"))["gate"] == "closed"
+    await lab.sleep(2.0)  # goals are not passed on: the client has to know the new server
+    before = len(await _responses(lab))
+    await lab.change("new", "answer", peer="old")
+    assert (await lab.port("new", "answer", "/answer"))["gate"] == "open"
+    await lab.eventually("the old one reports that", lambda: _is_closed(lab, "old"))
+    await lab.eventually("the new one responds", lambda: _responses(lab), lambda words: len(words) > before + 3)
+    exported = await _settled(lab)
+    assert exported["unanswered"] == {}, exported
+    served = [(await lab.exported(name))["served"]["answer"] for name in ("old", "new")]
+    assert sum(served) == exported["asked"]["ask"] and min(served) > 0, (served, exported)
+    return exported
+
+
+async def _is_closed(lab: Lab, instance: str) -> bool:
+    return bool((await lab.port(instance, "answer", "/answer"))["gate"] == "closed")
+
+
+@service_check
+async def answers_each_request_once(lab: Lab) -> None:
+    """In order; what is sent before the server is discovered, too."""
+    await _ask(lab, puppets.asker())
+    await _serve(lab, "server", puppets.server())
+    await lab.eventually("responses come", lambda: _responses(lab), lambda words: len(words) > 10)
+    exported = await _settled(lab)
+    words = exported["responded"]["ask"]
+    assert exported["unanswered"] == {} and len(words) == exported["asked"]["ask"]
+    assert_unbroken(words)
+    assert words[0] == "server 1" and words[-1] == f"server {len(words)}"
+
+
+@service_check
+async def hands_over_requests(lab: Lab) -> None:
+    """Each is answered once, by the old server to the last and then by the new one."""
+    words = (await _handed_over(lab, puppets.TRIGGER))["responded"]["ask"]
+    of_old = [word for word in words if word.startswith("old ")]
+    assert words[: len(of_old)] == of_old
+    assert_unbroken(of_old)
+    assert_unbroken(words[len(of_old) :])
+
+
+@service_check
+async def hands_over_goals(lab: Lab) -> None:
+    """Each goal is executed once and succeeds, also the one that is in progress."""
+    statuses = (await _handed_over(lab, puppets.FIBONACCI))["responded"]["ask"]
+    assert set(statuses) == {"status 4"}, statuses
+
+
+@service_check
+async def degrades_where_its_server_is_gone(lab: Lab) -> None:
+    """As the server leaves the graph with its mode, and again as its process dies; requests end with it."""
+    await _serve(lab, "server", puppets.server())
+    await _ask(lab, puppets.asker())
+    await lab.eventually("responses come", lambda: _responses(lab))
+    await lab.mode("server", "serve", "degraded")
+    await lab.eventually("the client degrades", lambda: lab.in_mode("asker", "ask", "degraded"))
+    because = (await lab.functionality("asker", "ask"))["because"]
+    assert "client ask" in because and "has had no server" in because, because
+    await lab.mode("server", "serve", "normal")
+    before = len(await _responses(lab))
+    await lab.mode("asker", "ask", "normal")
+    await lab.eventually("responses come again", lambda: _responses(lab), lambda words: len(words) > before)
+    await lab.change("server", "stop")
+    await lab.eventually("the client degrades", lambda: lab.in_mode("asker", "ask", "degraded"))
+    await _settled(lab)
+
+
+@service_check
+async def degrades_where_its_requests_are_not_answered(lab: Lab) -> None:
+    """The server is there, and silent: the client waits for its bound and 2 s more."""
+    await _serve(lab, "server", puppets.server({"silent": True}))
+    await _ask(lab, puppets.asker())
+    await lab.eventually("the client degrades", lambda: lab.in_mode("asker", "ask", "degraded"))
+    because = (await lab.functionality("asker", "ask"))["because"]
+    assert "has not been answered for" in because and "within 1 s is assumed" in because, because
+    assert (await _settled(lab))["responded"] == {}
+
+
+@service_check
+async def degrades_where_a_server_raises(lab: Lab) -> None:
+    await _serve(lab, "server", puppets.server({"raise": "out of order"}))
+    await _ask(lab, puppets.asker())
+    await lab.eventually("the server degrades", lambda: lab.in_mode("server", "serve", "degraded"))
+    assert "out of order" in (await lab.functionality("server", "serve"))["because"]
+    await lab.eventually("the client degrades", lambda: lab.in_mode("asker", "ask", "degraded"))
