@@ -567,9 +567,16 @@ def system_condition(
     return structs.replace(found, headline=f"{found.headline}; {found.besides}") if found.besides else found
 
 
-def has_exited(instance: str) -> str:
-    """An instance has exited without being asked to, or could not be started."""
-    return f"{instance} does not run any more"
+def is_missing(role: str, because: str) -> str:
+    """An instance of ``role`` has exited without being asked to, or could not be started, ``because`` of what."""
+    if not because:
+        return f"{role} does not run any more"
+    return because if because.startswith(role) else f"{role}: {because}"
+
+
+def crashes_again(role: str, number: int, window: float, because: str) -> str:
+    """A node that runs has been restarted so often in the last ``window`` (s) during which it ran."""
+    return f"{role} has been restarted {number} times in {window:g} s of running, the last time as {because}"
 
 
 def does_not_run(role: str) -> str:

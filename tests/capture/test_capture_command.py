@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import pytest
@@ -14,6 +15,7 @@ from midstride.backends.ros2.manager import probed_page
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.probe import Count, ProbedPort
 from midstride.cli import main
+from midstride.cli.client import Client
 from midstride.cli.commands import capture
 from midstride.runtime.workspace import Workspace
 from tests.capture.simulated import SimulatedGraph
@@ -51,6 +53,37 @@ def test_ports_are_added_to_a_file(graph: ObservedGraph, capsys: pytest.CaptureF
     assert "guarantee chatter : std_msgs/msg/String @ 44 Hz  # measured " in text
     assert "node talker : Talker { chatter -> /chatter }" in text
     assert main(["check", "chat.stride"]) == 0
+
+
+UNNAMED = """system chat
+
+component Talker {
+  run "talker" gate preload unnamed
+}
+
+node driver : Talker
+node other  : Talker
+"""
+
+
+def test_a_node_that_its_program_names_is_found_by_the_name_that_it_has_under_midstride(
+    graph: ObservedGraph,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    Path("chat.stride").write_text(UNNAMED)
+    found = SimpleNamespace(instances=[SimpleNamespace(role="driver", node="/talker")])
+    plant(monkeypatch, Client, "answers", lambda self, timeout=2.0: True)
+    plant(monkeypatch, Client, "status", lambda self: found)
+    assert main(["capture", "--into", "chat.stride"]) == 0
+    assert "/talker: nothing added: it is not in this file" in capsys.readouterr().err  # it does not run here
+    monkeypatch.setattr(Workspace, "all", lambda: [Workspace(tmp_path / "chat")])
+    assert main(["capture", "--into", "chat.stride"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith("/other: nothing added: its program gives its node another name")
+    assert said[1:] == ["1 node in chat.stride with 1 port"]
+    assert "node driver : Talker { chatter -> /chatter }" in Path("chat.stride").read_text()
 
 
 def test_a_draft_is_printed(graph: ObservedGraph, capsys: pytest.CaptureFixture[str]) -> None:

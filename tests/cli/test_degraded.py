@@ -105,7 +105,14 @@ def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
 ) -> None:
     """Its manager stays: tests/runtime/test_up_again.py."""
     missing = {"talker": "create talker (Talker): talker exited with status 1 before it registered:\nno device"}
-    report = {"outcome": "incomplete", "instances": ["listener"], "degraded": [], "missing": missing, "half_done": []}
+    lowered = {"functionality": "talker.talk", "from": "normal", "to": None, "planned": False, "because": "no device"}
+    report = {
+        "outcome": "incomplete",
+        "instances": ["listener"],
+        "degraded": [lowered],
+        "missing": missing,
+        "half_done": [],
+    }
     file = EXAMPLES / "talker" / "talker.stride"
     plant(monkeypatch, up, "bring_up", lambda *_, **__: msgspec.convert(report, UpReport))
     condition = system_condition(2, 1, ["talker could not be started"])
@@ -118,6 +125,7 @@ def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
         assert main(["up", str(file), "--backend", "sim", "--detach"]) == 3
         assert capsys.readouterr().out.splitlines() == [
             "talker is up without talker (listener).",
+            "Degraded: no instance serves talker.talk.",
             f"Missing: talker: {missing['talker'].splitlines()[0]}",
             "no device",
             "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",

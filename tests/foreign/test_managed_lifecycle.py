@@ -295,6 +295,24 @@ def test_what_a_plan_could_not_ask_is_said_to_be_unknown(tmp_path: Path, monkeyp
     starting(tmp_path, body)
 
 
+def test_a_program_without_ports_that_ends_in_its_first_second_is_in_the_report(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: ManagedRos) -> None:
+        simulator.managers = ()
+        simulator.die("planner")
+        await asyncio.sleep(0.1)
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        change = asyncio.ensure_future(manager.change(RESTART))
+        await asyncio.sleep(0.5)
+        assert manager.log()[-1].kind in ("step_done", "measuring") and not change.done()
+        simulator.die("planner")
+        outcome = await change
+        assert outcome.outcome == "done" and outcome.unexpected_exits == ["planner"]
+        assert outcome.continuity and outcome.continuity.verdict == "lost" and loop.time() - begun < 2.0
+
+    managed(tmp_path, body)
+
+
 UNKNOWN = "whether a lifecycle manager deactivates its nodes as planner "
 
 

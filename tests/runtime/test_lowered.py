@@ -130,7 +130,7 @@ def test_a_role_that_has_lost_its_instance_during_a_change_is_named(tmp_path: Pa
         ("listener.listen", "normal", "degraded", False),
         ("talker.talk", "normal", None, False),
     ]
-    assert outcome.remaining_degradations[1].because == "talker_2 exited unexpectedly"
+    assert outcome.remaining_degradations[1].because == "talker_2 exited unexpectedly (status -9)"
 
 
 def test_a_role_that_was_missing_before_is_not_a_loss_of_the_change(tmp_path: Path) -> None:

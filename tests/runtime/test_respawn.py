@@ -101,6 +101,23 @@ def test_a_crashed_node_comes_back_by_an_ordinary_plan_and_its_dependants_are_ra
     run(body, tmp_path, respawning(RespawnPolicy()))
 
 
+def test_a_node_that_crashes_again_and_again_is_not_well_when_it_happens_to_run(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        for expected in ("up", "degraded"):
+            await asyncio.sleep(RESTORED)
+            await crash(simulator, "talker")
+            await asyncio.sleep(3 * RESTORED)
+            assert "talker" in manager.configuration.instances
+            condition = (await manager.status()).condition
+            assert condition.state == expected, condition
+        (fault,) = condition.faults
+        assert fault.startswith("talker has been restarted 2 times in 60 s of running, the last time as talker exited")
+        await asyncio.sleep(61)
+        assert (await manager.status()).condition.state == "up"
+
+    run(body, tmp_path, respawning(RespawnPolicy()))
+
+
 def test_each_restart_waits_twice_as_long_as_the_one_before_until_none_is_left(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         delays = []

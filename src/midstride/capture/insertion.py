@@ -127,6 +127,11 @@ class _Inserter:
                 found.append(each)
             elif self.graph.services_of(each[1]):
                 result.left[each[1]] = "it has no topics, and its services get no ports"
+            elif any(run.unnamed for run in each[2].runs):
+                result.left[each[1]] = (
+                    "its program gives its node another name, which is known while it runs under `midstride up`, or it "
+                    "has no topics"
+                )
             else:
                 result.left[each[1]] = "it is not in the graph, or has no topics"
         in_file = {*result.left, *(full for _, full, _ in found)}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from midstride.model.contract import ConnectorKind, QoS, connector_kind
@@ -85,6 +85,29 @@ class ObservedGraph:
         if len(self.publishers(endpoint.topic)) > 1:
             return None if (endpoint.topic, "") in self._times else []
         return self._times.get((endpoint.topic, ""), [])
+
+    def renamed(self, names: Mapping[str, str]) -> ObservedGraph:
+        """Return the same with other names for some nodes: by the name that the graph shows."""
+
+        def name_of(node: str) -> str:
+            return names.get(node, node)
+
+        def of_nodes(
+            endpoints: Mapping[tuple[str, str, bool], ObservedEndpoint],
+        ) -> dict[tuple[str, str, bool], ObservedEndpoint]:
+            return {
+                (name_of(node), topic, output): replace(each, node=name_of(node))
+                for (node, topic, output), each in endpoints.items()
+            }
+
+        return replace(
+            self,
+            endpoints=of_nodes(self.endpoints),
+            services=of_nodes(self.services),
+            lazy={(name_of(node), topic) for node, topic in self.lazy},
+            lifecycle={*map(name_of, self.lifecycle)},
+            managers={name_of(node): {*map(name_of, managed)} for node, managed in self.managers.items()},
+        )
 
     def topics(self) -> set[str]:
         """The full names of the topics with a publisher."""

@@ -201,7 +201,7 @@ class Manager:
 
     def _still_missing(self, absent: Collection[str]) -> dict[str, str]:
         """Why each role has no instance, but those ``absent``: one may have exited since it was started."""
-        return {role: exits[-1].words for role, exits in self.system.crashes.items() if role not in absent}
+        return {role: exits[-1].details for role, exits in self.system.crashes.items() if role not in absent}
 
     def _with_policy(self, role: str, because: str) -> str:
         """Why a role has no instance, and that it will be started again, if so."""

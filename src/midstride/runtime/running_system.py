@@ -74,7 +74,7 @@ class RunningSystem:
     def why_missing(self, role: str) -> str | None:
         """Why a role has no instance, if one has exited unexpectedly, or could not be started."""
         crashes = self.crashes.get(role)
-        return crashes[-1].words if crashes else None
+        return crashes[-1].details if crashes else None
 
     def forget_filled_roles(self) -> None:
         """Forget missing instances whose role has an instance again, or has been removed from the specification."""

@@ -24,6 +24,7 @@ from midstride.capture.probe import (
     probed_inputs,
 )
 from midstride.capture.taken_over import note_managers, words_on
+from midstride.cli.client import Client
 from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import NO, is_interactive, json_option, print_json, stride_output, wants_json
 from midstride.cli.running_systems import find_workspace, system_option
@@ -31,8 +32,10 @@ from midstride.errors import MidstrideError
 from midstride.foreign.page import GATES_FOLDER
 from midstride.lang.load import load
 from midstride.lang.source_files import read_text
+from midstride.model.instance_names import full_name
 from midstride.model.lifecycle_management import MANAGEMENTS, Management
 from midstride.model.wording import counted
+from midstride.runtime.workspace import Workspace
 
 
 @click.command("capture")
@@ -90,6 +93,8 @@ def capture_command(
     if output != into:
         require_new(output)
     nodes = () if into is None else nodes_without_ports(read_text(into), str(into))
+    own_names = {} if into is None else _own_names(into, system)
+    nodes = [own_names.get(node, node) for node in nodes]
     findings: Dependences | None = {}
     folder = find_workspace(system).components / GATES_FOLDER if with_probe else None
     with nullcontext() if folder is None else probed_page.probing(folder) as gates:
@@ -102,6 +107,9 @@ def capture_command(
             findings = _probed(gates, graph, graph.nodes() if into is None else nodes, probe_seconds, yes)
     if findings is None:
         return NO
+    stated_names = {own: stated for stated, own in own_names.items()}
+    graph = graph.renamed(stated_names)
+    findings = {(stated_names.get(node, node), one, other): each for (node, one, other), each in findings.items()}
     added, left, target = drafted_nodes(graph), dict[str, str](), output
     ports = sum(len(graph.of_node(node)) for node in added) + len(drafted_services(graph))
     if into is not None:
@@ -118,6 +126,19 @@ def capture_command(
         write(target, text)
     _report(text, target, graph, added, ports, left, managed, findings)
     return 0
+
+
+def _own_names(file: Path, system: str | None) -> dict[str, str]:
+    """By the full name that a node has in ``file``, the one that its program gives it, where the system runs."""
+    if (stated := load(file).specification) is None:
+        return {}
+    name = stated.name if system is None else system
+    workspace = next((each for each in Workspace.all() if each.name == name), None)
+    if workspace is None or not (client := Client(workspace.socket)).answers():
+        return {}
+    unnamed = {role for role in stated.nodes if stated.component_of(role).unnamed}
+    instances = client.status().instances
+    return {full_name(each.role): each.node for each in instances if each.role in unnamed and each.node}
 
 
 def _probed(

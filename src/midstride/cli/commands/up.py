@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import click
+from msgspec import structs
 
 from midstride.backends import NAMES
 from midstride.cli.client import Client
@@ -224,6 +225,8 @@ def _show_how_it_came_up(
     without = f" without {', '.join(answer.missing)}" if answer.missing else ""
     click.echo(f"{workspace.name} is up{without} ({', '.join(answer.instances)}).")
     for each in answer.degraded:
+        if each.functionality.partition(".")[0] in answer.missing:  # the reason follows
+            each = structs.replace(each, because=None)
         click.echo(f"Degraded: {degraded_line(each)}")
     for line in missing_lines(answer):
         click.echo(line)

@@ -483,9 +483,15 @@ class ChangeSession:
             hurried = recording.hurried is not None and recording.hurried.is_set()
             self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
 
-    def _first_calls(self, actions: Iterable[Action]) -> float:
-        """How long the first calls of the functionalities that ``actions`` have raised take (s)."""
+    def _first_calls(self, actions: Sequence[Action]) -> float:
+        """How long the first calls of the functionalities that ``actions`` have raised take (s).
+
+        Of a program without ports only its process shows that it works, so it is watched for the longest time.
+        """
         configuration = self.system.configuration
+        created = [action.instance.component for action in actions if isinstance(action, Create)]
+        if any(not each.functionalities and not each.once for each in created):
+            return LONGEST_FIRST_CALLS
         refs = {ref for action in actions if isinstance(action, Upgrade) for ref in action.modes}
         raised = [(ref, found) for ref in refs if (found := configuration.find_functionality(ref)) is not None]
         if not raised:

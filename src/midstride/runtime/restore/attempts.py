@@ -25,6 +25,11 @@ class Attempts:
             self.ran += now - self.runs_since
             self.runs_since = None
 
+    def lately(self, policy: RespawnPolicy, now: float) -> int:
+        """How many attempts are in the window ``now`` (steady s)."""
+        ran = self.ran + (0.0 if self.runs_since is None else now - self.runs_since)
+        return sum(ran - at < policy.window for at in self.made)
+
     def next(self, policy: RespawnPolicy) -> int | None:
         """The number of the next attempt in the window, which counts from now on; None if there is to be no other."""
         self.made = [at for at in self.made if self.ran - at < policy.window]

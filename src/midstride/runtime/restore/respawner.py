@@ -10,7 +10,9 @@ from __future__ import annotations
 import asyncio
 import logging
 from dataclasses import dataclass, field
+from typing import Final
 
+from midstride import verdicts
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.wording import counted
 from midstride.plan.request import PlanRequest
@@ -24,6 +26,9 @@ from midstride.runtime.restore.attempts import Attempts
 from midstride.runtime.running_system import RunningSystem
 
 log = logging.getLogger(__name__)
+
+# After so many restarts within the window of its policy, a node that runs is not said to be well.
+CRASH_LOOP: Final = 2
 
 
 @dataclass(slots=True)
@@ -108,6 +113,16 @@ class Respawner(ReconciliationObserver):
             window=policy.window,
             words=words,
         )
+
+    def crash_loop(self, role: str) -> str | None:
+        """That a node which runs has been restarted again and again, and why it ended last; None where it has not."""
+        record, policy = self._records.get(role), self._policy(role)
+        if record is None or policy is None or not record.crashes:
+            return None
+        number = record.attempts.lately(policy, self.clock.steady())
+        if number < CRASH_LOOP:
+            return None
+        return verdicts.crashes_again(role, number, policy.window, record.crashes[-1].details)
 
     def _policy(self, role: str) -> RespawnPolicy | None:
         node = self.system.specification.nodes.get(role)

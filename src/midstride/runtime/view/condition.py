@@ -28,10 +28,11 @@ def condition(
         if known is None or (not instance.reachable, len(found)) < (not known[0].reachable, len(known[1])):
             best[instance.role] = instance, found
     gone = {each.role: each for each in crashed if each.role is not None}
-    faults = [each.words or verdicts.has_exited(each.name) for each in crashed if each.role not in best]
+    faults = [verdicts.is_missing(each.role or each.name, each.words) for each in crashed if each.role not in best]
     faults += [verdicts.does_not_run(role) for role in specification.roles() if role not in best and role not in gone]
     faults += [verdicts.silence_in_words(fault.words, fault.seconds or None) for fault in silences]
     faults += [words for role in sorted(best) for words in best[role][1]]
+    faults += [words for role in sorted(best) if (words := watched.respawner.crash_loop(role)) is not None]
     components = {role: specification.component_of(role) for role in specification.roles()}
     return verdicts.system_condition(
         len(components),

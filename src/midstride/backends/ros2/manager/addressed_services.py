@@ -52,7 +52,7 @@ class AddressedServices(RosNodeServices):
                     if self._page.is_dead(self._index):
                         raise NoAnswer(f"its process ended before {name} had answered")
                     if loop.time() >= deadline:
-                        raise NoAnswer(f"{name} has not answered within {timeout:g} s")
+                        raise NoAnswer(f"{name} has not answered within {timeout:.3g} s")
                     await asyncio.sleep(INTERVAL)
             finally:
                 self._page.withdraw(self._index, number)

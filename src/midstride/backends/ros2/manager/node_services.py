@@ -176,7 +176,7 @@ class RosNodeServices:
         try:
             while not answered.done():
                 if loop.time() >= deadline:
-                    raise NoAnswer(f"{name} has not answered within {timeout:g} s")
+                    raise NoAnswer(f"{name} has not answered within {timeout:.3g} s")
                 if loop.time() >= sent + AGAIN and (sent < 0 or lost is None or await lost()):
                     with client.handle:
                         waiting[client.handle.send_request(request or type_.Request())] = answered
