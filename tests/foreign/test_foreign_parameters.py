@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
-from midstride.errors import CommandRefused, ManagerError, PlanRefused
+from midstride.codec.component_form import NamedComponentForm
+from midstride.errors import BackendError, CommandRefused, ManagerError, PlanRefused
+from midstride.foreign.gates import Gates
+from midstride.foreign.node import ForeignNode
+from midstride.foreign.page import KnownSetting
+from midstride.foreign.record import ForeignRecord
+from midstride.foreign.reported_states import ReportedStates
 from midstride.lang.load import load, load_text
+from midstride.model.component import ComponentSpec
 from midstride.model.specification_checks import check, errors
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -278,3 +286,37 @@ def test_apply_sets_a_changeable_parameter_and_the_file_wins(gate: str, tmp_path
 def test_with_every_gate_a_parameter_may_be_changeable() -> None:
     for gate in ("preload", "relay"):
         assert errors(check(load_text(text(gate)).require())) == []
+
+
+def test_a_noted_request_that_cannot_be_read_hides_no_other_one(tmp_path: Path) -> None:
+    noted = [KnownSetting(1.0, "/driver/set_parameters", each) for each in (b"gain", b"\xff", b"speed")]
+    taken = {"/driver/set_parameters": 1, "/driver/set_parameters_atomically": 0}
+    requests = SimpleNamespace(taken=taken.get, settings=lambda: noted[: taken["/driver/set_parameters"]])
+    record = ForeignRecord(
+        instance="driver",
+        node="/driver",
+        token="a token",
+        uuid="driver",
+        pid=1,
+        started=0,
+        declaration=NamedComponentForm.of(ComponentSpec.of("Driver")),
+        index=0,
+        topics={},
+        modes={},
+    )
+    node = ForeignNode(record, tmp_path, None, ReportedStates(), cast(Gates, requests))
+
+    def settings_in(request: bytes) -> dict[str, Any]:
+        if request == b"\xff":
+            raise BackendError("it cannot be read")
+        return {request.decode(): 2}
+
+    node.settings_in = settings_in
+    node.note_settings()
+    assert (set(node.settings), node._all_settings) == ({"gain"}, True)
+    for number in (2, 3):
+        taken["/driver/set_parameters"] = number
+        node.note_settings()
+        node.note_settings()  # it is looked at once
+        assert not node._all_settings  # what the unreadable one has set is not known
+    assert set(node.settings) == {"gain", "speed"}

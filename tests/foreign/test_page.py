@@ -338,5 +338,7 @@ def test_what_a_library_has_noted_of_requests_is_read_as_far_as_it_is_whole(tmp_
         assert page.settings(index) == [KnownSetting(1.5, *requests[0])]
     path.write_bytes(whole)
     assert page.settings(index) == [KnownSetting(1.5, *request) for request in requests]
+    path.write_bytes(struct.pack("<qQ", 0, 3) + b"\xff\0x" + whole)  # what is damaged hides nothing after it
+    assert page.settings(index)[1:] == [KnownSetting(1.5, *request) for request in requests]
     page.free(index)
     assert page.settings(index) == []

@@ -70,10 +70,10 @@ class ForeignNode:
         # By parameter, when a request has set it last (Unix time, s), and the value; whether these are all requests.
         self.settings: dict[str, tuple[float, Any]] = {}
         self._all_settings = False
-        self._noted = 0  # how many of them have been read
-        self.settings_in: Callable[[bytes], Mapping[str, Any]] | None = (
-            None  # those of a request, of which these are the bytes
-        )
+        self._noted = 0  # how many of them have been looked at
+        self._unreadable = 0  # how many of those cannot be read
+        # Those of a request, of which these are the bytes.
+        self.settings_in: Callable[[bytes], Mapping[str, Any]] | None = None
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self.undeclared: list[UndeclaredTopic] = []  # its topics that are no ports
         self.serves: list[str] = []  # its services and ROS actions that others may rely on
@@ -228,10 +228,13 @@ class ForeignNode:
             noted = [each for each in self.requests.settings() if each.service in services]
         except BackendError:  # what is not known counts as such
             noted = []
-        self._all_settings = None not in taken and sum(filter(None, taken)) == len(noted)
         for at, _, request in noted[self._noted :]:  # each is read once: there may be thousands
-            self.settings |= {name: (at, value) for name, value in self.settings_in(request).items()}
+            try:
+                self.settings |= {name: (at, value) for name, value in self.settings_in(request).items()}
+            except BackendError:  # what it has set is not known, either
+                self._unreadable += 1
         self._noted = max(self._noted, len(noted))
+        self._all_settings = None not in taken and sum(filter(None, taken)) == len(noted) - self._unreadable
 
     def _set_at(self) -> dict[str, float]:
         """When a request has set those parameters of the node that have its value still (Unix time, s)."""

@@ -533,7 +533,7 @@ class Page:
             if len(noted) < begin:  # it is being written
                 break
             service, _, request = noted[begin - length : begin].partition(b"\0")
-            found.append(KnownSetting(at / 1e9, service.decode(), request))
+            found.append(KnownSetting(at / 1e9, service.decode(errors="replace"), request))
         return found
 
     def _asked(self, index: int, number: int, suffix: str = "") -> Path:
@@ -557,7 +557,7 @@ class Page:
         return found
 
     def goal_counts(self, index: int) -> GoalCounts | None:
-        """What has become of the goals of the node ``index`` so far; None where it has had none."""
+        """Count the goals of the node ``index`` by what has become of them; None where it has had none."""
         accepted, ended, cancelled, unknown = self.layout.nodes[index].goals
         found = GoalCounts(accepted=accepted, ended=ended, cancelled=cancelled, unknown=unknown)
         return found if found != GoalCounts() else None

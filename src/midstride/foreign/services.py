@@ -43,7 +43,10 @@ class NodeServices(ParameterAccess, StateAccess, Protocol):
         """Nothing is asked any more."""
 
     def settings_in(self, request: bytes) -> Mapping[str, Any]:
-        """The parameters that a request is to set, of which these are the bytes in DDS, and their values."""
+        """The parameters that a request is to set, of which these are the bytes in DDS, and their values.
+
+        Raises BackendError where they cannot be read.
+        """
 
     async def lifecycle_state(self, timeout: float) -> str:
         """The label of the state: `unconfigured`, `inactive`, `active`, `finalized`, or that of a transition."""

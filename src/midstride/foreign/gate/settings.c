@@ -15,6 +15,8 @@
 /* How many bytes such a file has at most. */
 #define MOST_NOTED (1 << 20)
 
+static pthread_mutex_t noting = PTHREAD_MUTEX_INITIALIZER; /* of such a file */
+
 static bool sets_parameters(const char *service)
 {
   const char *name = strrchr(service, '/');
@@ -39,10 +41,13 @@ static void append_setting(const struct entry *entry, const serialized *bytes)
   int file = open(name, O_WRONLY | O_CREAT | O_APPEND | O_CLOEXEC, 0600);
   if (file < 0)
     return;
-  if (fstat(file, &status) == 0 && (size_t)status.st_size + sizeof head + head.length <= MOST_NOTED) {
-    ssize_t written = writev(file, parts, 3);
-    (void)written; /* what is not there is not known, and counts as such */
-  }
+  size_t length = sizeof head + head.length;
+  pthread_mutex_lock(&noting);
+  /* What is not there is not known, and counts as such; a part of one would hide all that follow. */
+  if (fstat(file, &status) == 0 && (size_t)status.st_size + length <= MOST_NOTED &&
+      writev(file, parts, 3) != (ssize_t)length && ftruncate(file, status.st_size) != 0)
+    unlink(name);
+  pthread_mutex_unlock(&noting);
   close(file);
 }
 

@@ -15,6 +15,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message
 
 from midstride.backends.ros2.component.parameter_services import as_json
+from midstride.errors import BackendError
 from midstride.foreign.foreign_state import EXPORT_STATE, IMPORT_STATE, STATE
 from midstride.foreign.services import NoAnswer
 from midstride.model.instance_names import split_name
@@ -130,8 +131,11 @@ class RosNodeServices:
 
     def settings_in(self, request: bytes) -> dict[str, Any]:
         # Both kinds of requests have the same field.
-        found = deserialize_message(request, parameter_srv.SetParameters.Request).parameters
-        return {each.name: as_json(parameter_value_to_python(each.value)) for each in found}
+        try:
+            found = deserialize_message(request, parameter_srv.SetParameters.Request).parameters
+            return {each.name: as_json(parameter_value_to_python(each.value)) for each in found}
+        except (RuntimeError, ValueError) as error:  # the middleware's own kind, or a type that rclpy does not know
+            raise BackendError(f"a request to set parameters of {self._name} cannot be read: {error}") from error
 
     async def export_state(self, timeout: float) -> bytes | str:
         request = parameter_srv.GetParameters.Request(names=[STATE])
