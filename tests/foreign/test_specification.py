@@ -13,10 +13,11 @@ import pytest
 from immutables import Map
 from msgspec import structs
 
+from midstride.backends.ros2.manager.component_containers import LoadRequest
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes, ros_arguments
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName
 from midstride.codec.specification_form import decode_specification, encode_specification
-from midstride.errors import PlanRefused, StepFailed
+from midstride.errors import BackendError, NodeError, PlanRefused, StepFailed
 from midstride.foreign.page import Page
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.generate.project import project
@@ -29,7 +30,7 @@ from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.specification_diff import differences
 from midstride.plan.strategies.registry import planner
-from midstride.runtime.backend_protocol import Launch
+from midstride.runtime.backend_protocol import Handle, Launch
 from midstride.runtime.handover.agreed_cut import early_publishers, publishers_found, require_found
 from midstride.runtime.handover.arbiter_choice import BATON, CLAIM, choose_arbiter, require_arbiters
 from midstride.runtime.instance_life import LifeTable
@@ -208,6 +209,36 @@ def test_a_relayed_program_gets_private_topics_for_its_outputs(tmp_path: Path) -
         assert not another.runs("/robot1/talker") and not path.exists()
 
     asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(
+    "error", [BackendError("no such class"), NodeError("no such mode"), OverflowError("too large")]
+)
+def test_whatever_keeps_a_node_from_being_loaded_is_said_at_once(error: Exception, tmp_path: Path) -> None:
+    specification = parsed(TEXT.partition("component Other")[0].replace("gate preload", "gate none"), tmp_path)
+    launch, component = launched("Talker", specification, "robot1"), specification.components["Talker"]
+    said = list[tuple[str, str]]()
+
+    async def scenario() -> None:
+        failed = asyncio.Event()
+
+        async def load(request: LoadRequest, timeout: float) -> None:
+            raise error
+
+        async def note(instance: str, because: str) -> None:
+            said.append((instance, because))
+            failed.set()
+
+        folder, transport = tmp_path / "gates", SocketFolder(tmp_path / "components")
+        nodes = ForeignNodes(folder, transport, lambda _: None, load=load, failed=note)
+        _, record = await nodes.prepare(launch, component, "/robot1/talker", {})
+        request = LoadRequest("/robot1/talker_container", "demo", "demo::Talker", "/robot1/talker")
+        await nodes.started(record, Handle("robot1/talker", 1), request)
+        await asyncio.wait_for(failed.wait(), 60)
+        await nodes.close()
+
+    asyncio.run(scenario())
+    assert said == [("robot1/talker", str(error))]
 
 
 def test_the_page_of_a_node_is_prepared_before_it_starts(

@@ -24,7 +24,7 @@ from midstride.backends.ros2.manager.process_nodes import AskedProcess
 from midstride.backends.ros2.names import InstanceNode, system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
-from midstride.errors import BackendError, CommandRefused
+from midstride.errors import BackendError, CommandRefused, MidstrideError, NodeError
 from midstride.foreign import build
 from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_agent import ForeignAgent
@@ -378,7 +378,9 @@ class ForeignNodes:
         try:
             await load(request, endpoints_seconds(record.declaration.declared()))
             await self._answer_once_known(record)
-        except BackendError as error:
+        except Exception as error:  # rclpy's too, of a value that no message can have; nothing awaits this task
+            if not isinstance(error, MidstrideError):
+                log.exception("%s cannot be loaded", record.instance)
             self._finding.pop(record.instance, None)  # this task, which goes on until the process has ended
             if self._failed is not None:
                 await self._failed(record.instance, str(error))
@@ -410,7 +412,7 @@ class ForeignNodes:
                 record = replace(record, node=search.node)
                 record.write(self._folder)
             await self._answer(record)
-        except BackendError as error:
+        except (BackendError, NodeError) as error:
             log.error("%s cannot be answered for: %s", record.instance, error)
 
     def node_of(self, instance: str) -> str | None:
