@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from itertools import pairwise
 from unittest.mock import MagicMock, Mock
 
 import pytest
 
+from midstride.errors import BackendError
 from midstride.foreign.services import NoAnswer
 
 pytestmark = pytest.mark.ros2
@@ -35,3 +37,31 @@ def test_of_two_nodes_of_one_name_no_parameter_is_read() -> None:
     with pytest.raises(NoAnswer, match="more than one node is called /talk"):
         asyncio.run(RosNodeServices(node, "/talk").parameters(1.0))
     node.create_client.assert_not_called()
+
+
+@pytest.mark.parametrize("damaged", ["bytes", "type"])
+def test_a_noted_request_that_cannot_be_read_is_named_so(damaged: str) -> None:
+    """A fault of rclpy's kind would end what watches the node."""
+    from rcl_interfaces.msg import Parameter, ParameterValue
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.serialization import serialize_message
+
+    from midstride.backends.ros2.manager.node_services import RosNodeServices
+
+    parameters = [Parameter(name="gain", value=ParameterValue(type=99))]
+    request = b"\0\1\0\0\1" if damaged == "bytes" else serialize_message(SetParameters.Request(parameters=parameters))
+    with pytest.raises(BackendError, match="a request to set parameters of /camera cannot be read"):
+        RosNodeServices(Mock(), "/camera").settings_in(request)
+
+
+def test_the_shown_command_gives_texts_as_texts() -> None:
+    """Of `5`, `ros2 component load` would make an integer, and of `true` a truth value."""
+    import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
+
+    from midstride.backends.ros2.manager.component_containers import LoadRequest
+
+    values = {"serial": "5", "on": "true", "none": "", "odd": "a: [", "day": "2024-13-01", "plain": "/dev/x", "n": 2}
+    command = LoadRequest("/box", "demo", "demo::Talker", "/talker", parameters=values).command()
+    given = dict(word.split(":=", 1) for option, word in pairwise(command) if option == "-p")
+    assert {name: yaml.safe_load(word) for name, word in given.items()} == values
+    assert (given["serial"], given["plain"]) == ('"5"', "/dev/x")

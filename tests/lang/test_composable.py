@@ -101,6 +101,9 @@ def test_its_class_and_its_container_are_looked_up_by_check(tmp_path: Path, monk
         ('component "demo::T -n talker" package "demo" gate none', "E009", "is named after its role", None),
         ('component "demo::T --fast" package "demo" gate none', "E009", "`--fast` is none of", None),
         ('component "demo::T -r a" package "demo" gate none', "E009", "and not by `FROM:=TO`", None),
+        ('component "demo::T -e n:=" package "demo" gate none', "E009", "and not by `NAME:=VALUE`", None),
+        ('component "demo::T -e n:=[1]" package "demo" gate none', "E009", "is not one value", None),
+        (f'component "demo::T -e n:={2**63}" package "demo" gate none', "E009", "the integers of 64 bits", None),
         ('component "demo::T" package "demo" in "./box" gate none', "E009", "names a file", "executable"),
         ('component "demo::T" package "demo" in "box" package "b x" gate none', "E009", "not a valid package", None),
         ("component demo::T", "E120", "a class in double quotes after `run component`", 'run component "demo::T'),
@@ -115,6 +118,14 @@ def test_what_cannot_be_is_refused(tmp_path: Path, run: str, code: str, message:
 def test_the_words_after_the_class() -> None:
     words = LoadWords.of(
         "a::B -r x:=/y -e use_clock_thread:=false -e threads:=3 -e share:=0.5 --remap-rule c:=d -e n:=m"
+        f" -e most:={2**63 - 1} -e least:=-{2**63}"
     )
     assert (words.plugin, words.remaps) == ("a::B", ("x:=/y", "c:=d"))
-    assert dict(words.extra) == {"use_clock_thread": False, "threads": 3, "share": 0.5, "n": "m"}
+    assert dict(words.extra) == {
+        "use_clock_thread": False,
+        "threads": 3,
+        "share": 0.5,
+        "n": "m",
+        "most": 2**63 - 1,
+        "least": -(2**63),
+    }

@@ -72,6 +72,21 @@ def test_components_get_a_process_each_and_their_containers_are_left_out(tmp_pat
     assert system.nodes["front/camera"].respawn is not None
 
 
+def test_an_extra_argument_that_no_run_text_can_state_is_left_out_and_named(tmp_path: Path) -> None:
+    extra = [("list", "[1, 2]"), ("of", "[1]"), ("empty", ""), ("words", "a b"), ("large", str(2**64)), ("kept", "3")]
+    found = split(
+        tmp_path,
+        '<load_composable_node target="/box"><composable_node pkg="cameras" plugin="cameras::Camera" name="camera">'
+        + "".join(f'<extra_arg name="{name}" value="{value}"/>' for name, value in extra)
+        + "</composable_node></load_composable_node>",
+    )
+    assert components(found, tmp_path)["camera"].run == "cameras::Camera -e kept:=3"
+    said = [each.message for each in found.findings if each.kind == "unsupported"]
+    assert [each.partition(":")[0] for each in said] == [
+        f"the extra argument `{name}` is left out" for name, _ in extra[:-1]
+    ]
+
+
 def test_a_container_that_is_a_node_or_is_started_elsewhere(tmp_path: Path) -> None:
     nodes = components(split(tmp_path, ROBOT), tmp_path)
     planner, route = nodes["front/planner_server"], nodes["other/route_server"]

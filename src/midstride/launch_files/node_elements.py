@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Final
@@ -28,6 +28,7 @@ from midstride.launch_files.substitutions import performed, substituted, typed_t
 from midstride.launch_files.values import value_of
 from midstride.model.component import DEFAULT_CONTAINER
 from midstride.model.component_rules import MAX_NUMBER
+from midstride.model.load_words import extra_argument
 
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -180,7 +181,7 @@ class NodeElements(ElementAttributes):
                 found["namespace"] or None,
                 tuple((old, new) for old, new in found["remaps"]),
                 settings,
-                [f"{name}:={_in_words(value)}" for name, value in found["extra"].items()],
+                self._extra(found["extra"].items(), span),
                 span,
                 context,
             )
@@ -252,10 +253,23 @@ class NodeElements(ElementAttributes):
             namespace,
             (*context.remaps, *self._remaps(entity, context)),
             [*context.settings, *self._settings(entity, _section(namespace, stated), context)],
-            [f"{name}:={value}" for name, value in extra],
+            self._extra(extra, entity.span),
             entity.span,
             context,
         )
+
+    def _extra(self, stated: Iterable[tuple[str, object]], span: Span) -> list[str]:
+        """The extra arguments that a `run` text can state (``NAME:=VALUE``); the others are left out."""
+        found = []
+        for name, value in stated:
+            word = f"{name}:={_in_words(value)}"
+            try:
+                extra_argument(word)
+            except ValueError as error:
+                self.findings.add("unsupported", f"the extra argument `{name}` is left out: {error}", span)
+            else:
+                found.append(word)
+        return found
 
     def _loaded(
         self,

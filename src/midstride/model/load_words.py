@@ -44,8 +44,8 @@ class LoadWords:
             if option in _REMAP:
                 remaps.append(value)
             else:
-                name, _, text = value.partition(":=")
-                extra[name] = _value(text)
+                name, found = extra_argument(value)
+                extra[name] = found
         return cls(plugin, tuple(remaps), Map(extra))
 
 
@@ -56,19 +56,37 @@ def _options(words: Iterator[str]) -> Iterator[tuple[str, str]]:
         if option not in (*_REMAP, *_EXTRA):
             raise ValueError(f"`{option}` is none of `-r FROM:=TO` and `-e NAME:=VALUE`, which may follow the class")
         value = next(words, "")
-        if not _RULE.fullmatch(value):
-            form = "FROM:=TO" if option in _REMAP else "NAME:=VALUE"
-            raise ValueError(f"`{option}` is followed by `{value}`, and not by `{form}`")
+        if option in _REMAP and not _RULE.fullmatch(value):
+            raise ValueError(f"`{option}` is followed by `{value}`, and not by `FROM:=TO`")
         yield option, value
 
 
+def extra_argument(word: str) -> tuple[str, bool | int | float | str]:
+    """The name and the value of an extra argument, `NAME:=VALUE`. Raises ValueError, in words."""
+    if not _RULE.fullmatch(word):
+        raise ValueError(f"`-e` is followed by `{word}`, and not by `NAME:=VALUE`")
+    name, _, text = word.partition(":=")
+    return name, _value(text)
+
+
 def _value(text: str) -> bool | int | float | str:
-    """The value of an extra argument, as YAML has it."""
+    """The value of an extra argument, as YAML has it. Raises ValueError."""
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
+    if text[0] in "[{":
+        raise ValueError(f"`{text}` is not one value, which an extra argument has")
+    if (number := _integer(text)) is not None:
+        if not -(2**63) <= number < 2**63:
+            raise ValueError(f"`{text}` is beyond the integers of 64 bits")
+        return number
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _integer(text: str) -> int | None:
+    try:
+        return int(text)
+    except ValueError:
+        return None

@@ -54,7 +54,7 @@ class LoadRequest:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def command(self) -> tuple[str, ...]:
-        """The same as a command of the shell."""
+        """Return the `ros2 component load` command for this request."""
         name, namespace = split_name(self.node)
         words = ["ros2", "component", "load", self.container, self.package, self.plugin, "-n", name]
         words += ["--node-namespace", namespace] if namespace != "/" else []
@@ -65,7 +65,18 @@ class LoadRequest:
 
 
 def _text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
+    """A value in YAML, in which `ros2 component load` reads it: a text that would be something else there is quoted."""
+    return value if isinstance(value, str) and _in_yaml(value) == value else json.dumps(value)
+
+
+def _in_yaml(text: str) -> object:
+    """What ``text`` is in YAML; None where it is none."""
+    import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
+
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError):  # such as of a date that there is not
+        return None
 
 
 def require_interfaces() -> None:
@@ -78,7 +89,7 @@ def require_interfaces() -> None:
 
 
 class ContainerServices(RosNodeServices):
-    """Those of the container with the full name ``name``, called from the manager's loop without a thread."""
+    """The services of the container with the full name ``name``, called from the manager's loop without a thread."""
 
     async def load(self, request: LoadRequest, timeout: float) -> None:
         """Have the node loaded within ``timeout`` (s). Raises BackendError: why it is not."""
