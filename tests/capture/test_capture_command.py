@@ -17,6 +17,7 @@ from midstride.capture.probe import Count, ProbedPort
 from midstride.cli import main
 from midstride.cli.client import Client
 from midstride.cli.commands import capture
+from midstride.errors import ManagerError
 from midstride.runtime.workspace import Workspace
 from tests.capture.simulated import SimulatedGraph
 from tests.planting import plant
@@ -84,6 +85,26 @@ def test_a_node_that_its_program_names_is_found_by_the_name_that_it_has_under_mi
     assert said[0].startswith("/other: nothing added: its program gives its node another name")
     assert said[1:] == ["1 node in chat.stride with 1 port"]
     assert "node driver : Talker { chatter -> /chatter }" in Path("chat.stride").read_text()
+
+
+def test_a_manager_that_does_not_say_its_status_keeps_nothing_from_being_captured(
+    graph: ObservedGraph, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    asked = list[str]()
+
+    def status(self: Client) -> None:
+        asked.append("status")
+        raise ManagerError("it ends")
+
+    plant(monkeypatch, Client, "answers", lambda self, timeout=2.0: True)
+    plant(monkeypatch, Client, "status", status)
+    monkeypatch.setattr(Workspace, "all", lambda: [Workspace(tmp_path / "chat")])
+    assert main(["capture", "--into", "chat.stride"]) == 0
+    assert asked == []  # each node of the file has the name that it has there
+    Path("chat.stride").write_text(UNNAMED)
+    assert main(["capture", "--into", "chat.stride"]) == 0
+    assert asked == ["status"]
+    assert "/driver: nothing added" in capsys.readouterr().err
 
 
 def test_a_draft_is_printed(graph: ObservedGraph, capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,7 +28,7 @@ from midstride.cli.client import Client
 from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import NO, is_interactive, json_option, print_json, stride_output, wants_json
 from midstride.cli.running_systems import find_workspace, system_option
-from midstride.errors import MidstrideError
+from midstride.errors import ManagerError, MidstrideError
 from midstride.foreign.page import GATES_FOLDER
 from midstride.lang.load import load
 from midstride.lang.source_files import read_text
@@ -132,12 +132,17 @@ def _own_names(file: Path, system: str | None) -> dict[str, str]:
     """By the full name that a node has in ``file``, the one that its program gives it, where the system runs."""
     if (stated := load(file).specification) is None:
         return {}
+    unnamed = {role for role in stated.nodes if stated.component_of(role).unnamed}
+    if not unnamed:
+        return {}
     name = stated.name if system is None else system
     workspace = next((each for each in Workspace.all() if each.name == name), None)
     if workspace is None or not (client := Client(workspace.socket)).answers():
         return {}
-    unnamed = {role for role in stated.nodes if stated.component_of(role).unnamed}
-    instances = client.status().instances
+    try:
+        instances = client.status().instances
+    except ManagerError:  # the nodes are looked for by their names in the file
+        return {}
     return {full_name(each.role): each.node for each in instances if each.role in unnamed and each.node}
 
 
