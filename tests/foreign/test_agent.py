@@ -164,6 +164,7 @@ def test_a_hand_over_and_the_way_back(tmp_path: Path, programs: Path, gate_libra
             probation = commands.AwaitWriteCommand(port="out", topic=TOPIC, calls=3, patience=5)
             assert (await system.client.read("new", probation)).gated > 0
             assert (await system.gate("old"), await system.gate("new")) == ("open", "closed")
+            decided = [(port.baton, port.flags) for port in map(system.lab.port, map(system.index, ("old", "new")))]
             outgoing = await system.handed_over("old", "new")
             last = outgoing.last[f"out {TOPIC}"]
             assert last is not None and last.number == system.lab.written_by(system.index("old"))
@@ -171,6 +172,8 @@ def test_a_hand_over_and_the_way_back(tmp_path: Path, programs: Path, gate_libra
             await system.publishes("new")
             await system.change("new", commands.CancelCutCommand(cut="c"))  # a roll-back
             await system.change("old", commands.CancelCutCommand(cut="c"))
+            again = [(port.baton, port.flags) for port in map(system.lab.port, map(system.index, ("old", "new")))]
+            assert again == decided
             assert (await system.gate("old"), await system.gate("new")) == ("open", "closed")
             await system.publishes("old")
             await system.handed_over("old", "new")

@@ -50,7 +50,7 @@ class _Cut:
     baton: int
     before: dict[str, int]
     other: int | None = None  # the index of the old side; None on that side
-    own: dict[str, int] = field(default_factory=dict)  # by port, its baton before
+    own: dict[str, tuple[int, int]] = field(default_factory=dict)  # by port, its baton and its flags before
     quiet: bool = False  # the new side takes over without a message too
     state: commands.StateTransfer | None = None
     by_input: bool = False  # each input is answered by one of the two
@@ -309,7 +309,7 @@ class GatedOutputs(UngatedOutputs):
     async def cut_out(self, command: commands.CutOutCommand) -> replies.Done:
         """The old side: from now on, one baton decides for the outputs of the cut."""
         gates, ports, state = self._gates, [swap.port for swap in command.swaps], command.state
-        own = {port: gates.baton(port) for port in gates.component.outputs}
+        own = _decided(gates)
         baton = gates.share(ports) if ports else 0
         if ports and state is not None:
             gates.hold_back(ports, baton, longest_wait(state))
@@ -346,7 +346,7 @@ class GatedOutputs(UngatedOutputs):
         if command.state is not None:
             return await self._import_in(command, command.state, old)
         baton = self._baton_of(command, old)
-        own = {port: gates.baton(port) for port in gates.component.outputs}
+        own = _decided(gates)
         before = {port: int(gates.entry(port).passed) for port in ports}
         by_input = not command.quiet and gates.answers_as(old, ports)
         if by_input:
@@ -375,7 +375,7 @@ class GatedOutputs(UngatedOutputs):
             raise CommandRefused(f"{command.peer} has no state of the kind that {self._node.record.instance} imports")
         ports = [swap.port for swap in swaps]
         baton = self._baton_of(command, other) if swaps else 0
-        own = {port: gates.baton(port) for port in gates.component.outputs}
+        own = _decided(gates)
         if swaps:
             gates.share(ports, baton)
             gates.wait_for_manager(ports, keeping=True)
@@ -428,7 +428,9 @@ class GatedOutputs(UngatedOutputs):
             return replies.CutResult(outcome="waiting")
         writes = {f"{swap.port} {swap.topic}": self._last_write(swap.port, cut) for swap in cut.swaps}
         if new:
-            return replies.CutResult(outcome="done", first=writes, by_input=cut.by_input)
+            # Outputs that have fallen out of step meanwhile may have answered a message twice, or not at all.
+            by_input = cut.by_input and cut.other is not None and gates.answers_as(cut.other, ports)
+            return replies.CutResult(outcome="done", first=writes, by_input=by_input)
         return replies.CutResult(outcome="done", last=writes)
 
     async def _await_state(self, cut: _Cut, command: commands.AwaitCutCommand) -> replies.CutResult:
@@ -467,6 +469,9 @@ class GatedOutputs(UngatedOutputs):
             await self._withdraw(cut)
         elif cut.baton:
             self._gates.step(cut.baton, BatonStep.WITHDRAW)
+            kept = [self._gates.entry(swap.port) for swap in cut.swaps]
+            # What it has kept in the cut is published before the flags of the cut, by which it is kept, are taken away.
+            await self._node.comes_true(lambda: not any(entry.kept for entry in kept), LOOK)
             self._restore(cut)
         return replies.Done()
 
@@ -494,8 +499,16 @@ class GatedOutputs(UngatedOutputs):
         self._restore(cut)
 
     def _restore(self, cut: _Cut) -> None:
-        for port, baton in cut.own.items():
-            self._gates.entry(port).baton = baton
+        gates = self._gates
+        for port, (baton, flags) in cut.own.items():
+            entry = gates.entry(port)
+            entry.baton, entry.flags = baton, flags
+        gates.page.ring(gates.index)
+
+
+def _decided(gates: Gates) -> dict[str, tuple[int, int]]:
+    """By output, what decides for it: its baton and its flags."""
+    return {port: (gates.baton(port), int(gates.entry(port).flags)) for port in gates.component.outputs}
 
 
 def _unended(gates: Gates) -> str:

@@ -223,6 +223,8 @@ def messages_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[
         latest = states.get(old)
         if latest is None or not (before.preloads and after.preloads):
             continue
+        if latest.state.keeps_state:  # neither publishes while it moves
+            continue
         links = [
             link
             for port, attached in latest.state.ports.items()
