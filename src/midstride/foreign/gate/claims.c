@@ -66,12 +66,10 @@ uint64_t client_key(const struct request_id *id)
   return key_of(id->client, sizeof id->client);
 }
 
-/* Have the other processes wait, or go on. The kernel releases the lock of one that dies; one that is stopped while it has
- * the lock is not waited for. */
-static void lock_clients(struct requests *requests, short type)
+void lock_places(struct requests *requests, enum places places, short type)
 {
   struct flock whole = {.l_type = type, .l_whence = SEEK_SET, .l_len = 1};
-  whole.l_start = NODES + (requests - requests_at(page, 0));
+  whole.l_start = NODES * places + (requests - requests_at(page, 0));
   int64_t deadline = now_ns() + LOOK;
   while (fcntl(descriptor, F_SETLK, &whole) != 0 && now_ns() < deadline)
     sched_yield();
@@ -96,7 +94,7 @@ struct client *client_of(struct requests *requests, uint64_t key)
   if (found)
     return found;
   pthread_mutex_lock(&client_lock);
-  lock_clients(requests, F_WRLCK);
+  lock_places(requests, OF_CLIENTS, F_WRLCK);
   found = find_client(requests, key);
   if (!found) {
     struct client *oldest = NULL;
@@ -115,7 +113,7 @@ struct client *client_of(struct requests *requests, uint64_t key)
     atomic_store(&found->last, now_ns());
     atomic_store_explicit(&found->id, key, memory_order_release);
   }
-  lock_clients(requests, F_UNLCK);
+  lock_places(requests, OF_CLIENTS, F_UNLCK);
   pthread_mutex_unlock(&client_lock);
   return found;
 }

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-static pthread_mutex_t answered_lock = PTHREAD_MUTEX_INITIALIZER; /* of the parts in the page where one is taken */
+static pthread_mutex_t answered_lock = PTHREAD_MUTEX_INITIALIZER; /* of this process, where a part in the page is taken */
 
 /* What this thread has taken last, until it does something else. */
 static _Thread_local struct {
@@ -59,8 +59,11 @@ static bool has_answered(const struct port *output)
 
 static void close_input(void)
 {
-  if (current.open)
-    atomic_fetch_sub(&current.source->open, 1);
+  if (current.open) { /* another subscription may have been created at this address, and has none then */
+    uint32_t open = atomic_load(&current.source->open);
+    while (open && !atomic_compare_exchange_weak(&current.source->open, &open, open - 1))
+      ;
+  }
   current.open = false;
 }
 
@@ -105,6 +108,8 @@ static bool join_outputs(struct port *output)
 {
   unsigned known = 0;
   bool found = false;
+  if (current.count == MOST_OUTPUTS) /* of a subscription that has been created anew: the outputs of both */
+    return false;
   for (; known < MOST_OUTPUTS; known++) {
     struct port *other = NULL;
     if (atomic_compare_exchange_strong(&current.source->outputs[known], &other, output) || other == output) {
@@ -145,6 +150,7 @@ static struct answered *answered_for(struct requests *requests, uint64_t id)
   if (found)
     return found;
   pthread_mutex_lock(&answered_lock);
+  lock_places(requests, OF_ANSWERS, F_WRLCK);
   found = find_answered(requests, id);
   for (unsigned step = 0; !found && step < ANSWERED; step++) {
     struct answered *answered = &requests->answered[(id + step) % ANSWERED];
@@ -160,8 +166,10 @@ static struct answered *answered_for(struct requests *requests, uint64_t id)
   if (atomic_load(&found->id) != id) {
     atomic_store(&found->number, 0);
     atomic_store(&found->by, 0);
+    atomic_store(&found->at, now_ns()); /* else it would be the next one to be taken */
     atomic_store_explicit(&found->id, id, memory_order_release);
   }
+  lock_places(requests, OF_ANSWERS, F_UNLCK);
   pthread_mutex_unlock(&answered_lock);
   return found;
 }

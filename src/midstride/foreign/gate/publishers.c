@@ -22,6 +22,13 @@ struct given {
 /* PUBLISH: now, and no other node does until `leave`. HOLD_IT: not now. LEAVE_IT: another node has answered the input. */
 enum admission { PUBLISH, HOLD_IT, LEAVE_IT };
 
+/* A failure that the node has no part in is no error of its next call. */
+static void reset_error(void)
+{
+  if (real_rcutils_reset_error())
+    real_rcutils_reset_error()();
+}
+
 bool is_latched(const struct qos *qos)
 {
   return qos && qos->durability == TRANSIENT_LOCAL;
@@ -58,13 +65,14 @@ void discard_kept(struct entry *entry, unsigned remaining)
  * `lock`. */
 static void discard_answered(struct entry *entry)
 {
-  bool decide = answers_decide(atomic_load_explicit(&entry->port->flags, memory_order_relaxed));
+  unsigned flags = atomic_load_explicit(&entry->port->flags, memory_order_relaxed);
+  bool decide = answers_decide(flags);
   while (entry->keeping > entry->most_kept) {
     const struct input *input = &entry->kept->input;
     bool beside = decide || another_answers(entry, input);
     bool fits = entry->keeping <= (beside ? MOST_ANSWERS : FEWER_ANSWERS) &&
                 entry->kept_bytes <= (beside ? MOST_BYTES : FEWER_BYTES);
-    if (input->number && fits && !is_answered(entry, input))
+    if (flags & ANSWERS && input->number && fits && !is_answered(entry, input))
       break;
     discard_oldest(entry);
   }
@@ -90,6 +98,7 @@ static void keep(struct entry *entry, const struct given *given)
     copied = real_rmw_serialize() && entry->type && real_rmw_serialize()(given->message, entry->type, &kept->bytes) == 0;
   }
   if (!copied) {
+    reset_error();
     free(kept->bytes.buffer);
     free(kept);
     return;
@@ -114,6 +123,8 @@ static void publish_all(struct entry *entry, bool decide)
     note_answer(entry, &kept->input);
     if (real_rcl_publish_serialized_message()(publisher, &kept->bytes, NULL) == 0)
       count_call(entry->port, true);
+    else
+      reset_error();
   }
   discard_kept(entry, 0);
 }
@@ -142,8 +153,7 @@ static void mark(const void *publisher)
     return;
   struct identity identity;
   if (real_rmw_get_gid_for_publisher()(real_rcl_publisher_get_rmw_handle()(publisher), &identity) != 0) {
-    if (real_rcutils_reset_error())
-      real_rcutils_reset_error()();
+    reset_error();
     return;
   }
   pthread_mutex_lock(&lock);

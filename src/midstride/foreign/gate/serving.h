@@ -46,6 +46,11 @@ struct held {
 bool is_asked(const struct request_id *id);
 /* Those of the role of the node `me` (index + 1); NULL where it answers each that arrives. */
 struct requests *requests_of(unsigned me);
+/* What has places in the part of a role, which processes take one after the other; the locks of the nodes come first. */
+enum places { OF_CLIENTS = 1, OF_ANSWERS };
+/* Have the other processes wait (F_WRLCK), or go on. The kernel releases the lock of one that dies; one that is stopped while
+ * it has the lock is not waited for. */
+void lock_places(struct requests *requests, enum places places, short type);
 /* Whether the process of the node `index` (+ 1) has ended. A process does not see its own locks. */
 bool has_ended(unsigned index);
 /* Whether the node of `entry` answers the requests to its service now. */
