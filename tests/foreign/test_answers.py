@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 from collections import Counter
 from collections.abc import Iterator
@@ -9,10 +10,18 @@ from pathlib import Path
 
 import pytest
 
+from midstride.codec.component_form import NamedComponentForm
+from midstride.foreign.foreign_state import StatePeers
+from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gates import Gates
+from midstride.foreign.node import ForeignNode
+from midstride.foreign.page import Page
+from midstride.foreign.record import ForeignRecord
+from midstride.foreign.reported_states import ReportedStates
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate
 from midstride.node.handover.baton import BatonStep
+from midstride.wire import commands
 from tests.foreign.lab import MS, Lab, until
 
 # How often a node looks for an input (ns), of which there is one each ms.
@@ -134,3 +143,47 @@ def test_what_is_not_one_answer_for_each_message_is_seen(lab: AnsweringLab, way:
     assert answering.answers_inputs("out")
     assert not other.answers_inputs("out")
     assert not other.answers_as(answering.index, ["out"])
+
+
+def outputs_of(page: Page, instance: str, predecessor: int | None = None) -> tuple[Gates, GatedOutputs]:
+    """The outputs of a node that has answered messages, without its process."""
+    topics = {"out": "/chat", "in": "/numbers"}
+    gates = Gates(page, page.allocate(instance), COMPONENT)
+    gates.prepare(topics, predecessor)
+    gates.entry("out").in_step, gates.entry("out").answers = 3, 1
+    record = ForeignRecord(
+        instance=instance,
+        node=f"/{instance}",
+        token="a token",
+        uuid=instance,
+        pid=1,
+        started=0,
+        declaration=NamedComponentForm.of(COMPONENT),
+        index=gates.index,
+        topics=topics,
+        modes={"answer": "normal"},
+    )
+    return gates, GatedOutputs(ForeignNode(record, page.path.parent, gates, ReportedStates()), gates, StatePeers())
+
+
+@pytest.mark.parametrize("falls", [None, "old", "new"])
+def test_a_cut_is_by_input_where_the_outputs_stay_in_step(
+    falls: str | None, tmp_path: Path, gate_library: Path
+) -> None:
+    page = Page(tmp_path / "page", gate_library)
+    old, old_side = outputs_of(page, "old")
+    new, new_side = outputs_of(page, "new", old.index)
+
+    async def by_input() -> bool:
+        swaps = [commands.CutSwap(port="out", topic="/chat")]
+        await old_side.cut_out(commands.CutOutCommand(cut="c", swaps=swaps, at=0, resume_after=1))
+        await new_side.cut_in(commands.CutInCommand(cut="c", swaps=swaps, at=0, peer="old", address=""))
+        assert new.step(old.baton("out"), BatonStep.TAKE).holder == new.index + 1
+        new.entry("out").passed += 1
+        if falls is not None:
+            (old if falls == "old" else new).entry("out").in_step = 0
+        result = await new_side.await_cut(commands.AwaitCutCommand(cut="c", timeout=30))
+        assert result.outcome == "done"
+        return result.by_input
+
+    assert asyncio.run(by_input()) == (falls is None)
