@@ -32,7 +32,7 @@ from midstride.wire.commands import (
     YieldCommand,
 )
 from midstride.wire.frames import Reply, encode_value
-from midstride.wire.replies import Answers
+from midstride.wire.replies import Answers, FetchedState
 
 
 class Server:
@@ -104,6 +104,21 @@ def test_a_request_is_held_for_a_bounded_time_and_in_bounded_number() -> None:
     assert new.handled == list(map(str, range(1, HELD + 1)))
 
 
+def test_what_a_server_receives_late_since_its_thread_was_held_up_is_not_handled_again() -> None:
+    """A successor constructs its node, or the predecessor was stopped, for 50 s: what waits for it arrives then."""
+    old, new = Server(is_open=True), Server(is_open=False)
+    old.receives("1")
+    old.time = new.time = 50.0
+    old.receives("2")
+    new.receives("1", "2")
+    new.admission.open(old.admission.close())
+    assert (old.handled, new.handled) == (["1", "2"], [])
+    new.receives("3")
+    new.time += 50.0
+    new.receives("4")
+    assert new.admission.missing(["3", "4"]) == []
+
+
 def test_handled_requests_are_remembered_longer_than_they_are_held_and_not_for_ever() -> None:
     old = Server(is_open=True)
     old.receives("1")
@@ -168,6 +183,21 @@ def test_a_predecessor_that_has_exited_is_not_waited_for() -> None:
     answer(new, peer)
     new.receives("2")
     assert new.handled == ["2"]
+
+
+@pytest.mark.parametrize("address", [None, "its address"])
+def test_what_was_held_while_state_was_to_move_is_handled_if_the_new_side_has_exited(address: str | None) -> None:
+    """It cannot have begun to answer; once it has asked the old one to stop, it may have."""
+    old, exited = Server(is_open=True), Peer(Unreachable("it has exited"))
+    old.admission.pause()
+    old.receives("1")
+    answer(old, exited, address)
+    assert old.handled == ["1"]
+    old.admission.pause()
+    old.admission.close()
+    old.receives("2")
+    answer(old, Peer(Unreachable("it has exited")), address)
+    assert old.handled == ["1"]
 
 
 def test_a_predecessor_that_may_still_answer_keeps_the_successor_closed() -> None:
@@ -270,6 +300,137 @@ def test_each_request_is_handled_once_although_the_one_that_does_not_answer_may_
 
     handled, sent = run(main())
     assert handled == dict.fromkeys(sent, 1)
+
+
+# Longer than a request is held by an instance that another one has replaced.
+LONG = HOLD + 1.0
+
+
+class Transfer:
+    """Moves state between two instances: the one that answers, ``old``, and the other one, step by step."""
+
+    def __init__(self) -> None:
+        instances: dict[str, Instance] = {}
+        self.old = Instance("a", instances, is_open=True)
+        self.new = Instance("b", instances, is_open=False)
+        self.sent: list[str] = []
+        self.step = "apart"
+
+    def send(self) -> None:
+        """A request to both."""
+        self.sent.append(str(len(self.sent)))
+        for instance in (self.old, self.new):
+            instance.receives(self.sent[-1])
+
+    def pause(self) -> None:
+        """The state of the old one is exported."""
+        assert self.old.answering.pause()
+        self.step, self._yields = "paused", self.new.admission.yields
+
+    def move(self) -> None:
+        """The new one has imported the state, and the old one has confirmed that."""
+        requests = self.old.admission.handled
+        self.old.answering.state_moved(self.new.name)
+        found = FetchedState(state=b"", handled={}, since=0, requests=requests)
+        self.new.answering.take_over(found, self.old.name, self._yields)
+        self.step = "moved"
+
+    async def ask(self) -> None:
+        """The manager has the new one ask, since the old one has not confirmed."""
+        await self.new.takes_over(self.old)
+        self.step = "moved"
+
+    async def take_back(self) -> None:
+        """The old one resumes."""
+        await self.old.answering.take_back(self.new.name, self.new.name)
+        self.step = "apart"
+
+    async def end(self) -> None:
+        """It has moved, and nothing is passed on any more: the next one is the other way."""
+        await asyncio.sleep(PASSED)
+        self.old, self.new, self.step = self.new, self.old, "apart"
+
+    @property
+    def times_handled(self) -> Counter[str]:
+        return Counter(self.old.handled + self.new.handled)
+
+
+@given(
+    st.lists(st.sampled_from(["send", "wait", "wait long", "pause", "move", "ask", "take back", "end"]), max_size=30)
+)
+def test_each_request_is_handled_once_while_state_moves_however_long_that_takes_or_if_it_does_not(
+    events: list[str],
+) -> None:
+    async def main() -> tuple[Counter[str], list[str]]:
+        transfer = Transfer()
+        for event in events:
+            match event, transfer.step:
+                case "send", _:
+                    transfer.send()
+                case "wait", _:
+                    await asyncio.sleep(PASSED / 4)
+                case "wait long", _:
+                    await asyncio.sleep(LONG)
+                case "pause", "apart":
+                    transfer.pause()
+                case "move", "paused":
+                    transfer.move()
+                case "ask", "paused":
+                    await transfer.ask()
+                case "take back", "paused" | "moved":
+                    await transfer.take_back()
+                case "end", "moved":
+                    await transfer.end()
+        if transfer.step == "paused":
+            await transfer.take_back()
+        await asyncio.sleep(PASSED)
+        return transfer.times_handled, transfer.sent
+
+    handled, sent = run(main())
+    assert handled == dict.fromkeys(sent, 1)
+
+
+@pytest.mark.parametrize("confirmed", [True, False])
+def test_what_the_new_side_has_answered_is_not_answered_again_when_the_old_one_resumes_much_later(
+    confirmed: bool,
+) -> None:
+    """Also where the old one has only been asked to stop, and does not know that the state has moved."""
+
+    async def main() -> Transfer:
+        transfer = Transfer()
+        transfer.pause()
+        transfer.send()
+        if confirmed:
+            transfer.move()
+        else:
+            await transfer.ask()
+        for _ in range(int(2 * REMEMBER)):
+            await asyncio.sleep(1.0)
+            transfer.send()
+        await transfer.take_back()
+        transfer.send()
+        return transfer
+
+    transfer = run(main())
+    assert transfer.times_handled == dict.fromkeys(transfer.sent, 1)
+    assert transfer.old.handled == [transfer.sent[-1]]
+
+
+def test_what_was_held_for_longer_than_a_successor_holds_it_is_passed_on() -> None:
+    async def main() -> Transfer:
+        transfer = Transfer()
+        transfer.pause()
+        transfer.send()
+        await asyncio.sleep(LONG)
+        transfer.send()
+        transfer.move()
+        transfer.send()
+        await asyncio.sleep(PASSED)
+        return transfer
+
+    transfer = run(main())
+    assert (transfer.old.handled, transfer.new.handled) == ([], ["1", "2", "0"])
+    assert transfer.old.responses == {"0": b"0 by b"}
 
 
 def test_what_only_the_predecessor_receives_is_handled_by_the_successor_and_answered() -> None:

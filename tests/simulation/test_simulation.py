@@ -101,7 +101,7 @@ def test_services_and_actions_of_a_specification_are_simulated() -> None:
     """
     scenario = rehearsed(load_text(text).require(), PlanRequest(restart=("serving",)))
     summary = Summary()
-    for run in simulate_many(range(16), scenario):
+    for run in simulate_many(range(60), scenario):
         summary.add(run)
     assert not summary.failed, "\n".join(f"{run.seed}: {'; '.join(run.problems)}" for run in summary.failed)
     assert "done" in summary.outcomes

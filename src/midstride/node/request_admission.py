@@ -31,8 +31,10 @@ from midstride.node.accepted_goals import Goals
 # done so by then.
 HOLD: Final = 5.0
 HELD: Final = 1000
-# For how long (s) a handled request is remembered, and how many at most: longer than any peer may hold it.
-REMEMBER: Final = 2 * HOLD
+# For how long (s) a handled request is remembered, and how many at most: longer than any peer may hold it, which counts
+# from when its code has time for requests. That may be late: it still constructs its node, a call does not return, or
+# its process is stopped.
+REMEMBER: Final = 60.0
 REMEMBERED: Final = 10 * HELD
 # After how long (s) a request that is held is asked after at the successor: the two receive one request so far apart.
 PASS_AFTER: Final = 0.2
@@ -277,7 +279,10 @@ class RequestAdmission:
             held.popitem(last=False)
 
     def pause(self) -> bool:
-        """Handle no further request until :meth:`open`; what arrives is held, however long. Whether it was open."""
+        """Handle no further request until :meth:`open`; what arrives is held, however long. Whether it was open.
+
+        That ends with :meth:`close` or :meth:`leave`, too: a successor has begun, or is about to.
+        """
         with self._lock:
             was_open, self.is_open = self.is_open, False
             self._paused = self._paused or was_open
@@ -287,7 +292,8 @@ class RequestAdmission:
         """Handle no further request: another instance will. Returns the requests that were handled here lately."""
         with self._lock:
             self.yields += 1
-            self.is_open = self._paused = False
+            self.is_open = False
+            self._end_pause()
             due = self._about_goals()
             handled = list(self._handled)
         for held in due:
@@ -302,10 +308,24 @@ class RequestAdmission:
     def leave(self) -> None:
         """Hold back no longer what is asked about goals that were accepted here: the state has moved without them."""
         with self._lock:
-            self._paused = False
+            self._end_pause()
             due = self._about_goals()
         for held in due:
             held.handle()
+
+    def _end_pause(self) -> None:
+        """Hold what is held for HOLD from now on: only now a successor can be asked whether it has it. With the lock.
+
+        That has held it for HOLD at most, which may be less long than the pause.
+        """
+        if self._paused:
+            self._paused, now = False, self._steady()
+            self._held = OrderedDict((name, held._replace(since=now)) for name, held in self._held.items())
+
+    @property
+    def is_paused(self) -> bool:
+        """Return whether no other instance can answer: this one is paused, and none has begun since."""
+        return self._paused
 
     def _about_goals(self) -> list[_Held]:
         """Take what is held about goals: whose turn it is is asked again. With the lock."""

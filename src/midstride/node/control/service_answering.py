@@ -53,10 +53,10 @@ class Answering:
     async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
         if not self.admission.is_open:
             found = None if command.address is None else await self._yielded(command.peer, command.address)
-            if found is None:
-                self.admission.open(None)
-            else:
+            if found is not None:
                 self._open(found.handled, found.goals, command.address or "")
+            else:  # where this one is paused, no other one has begun
+                self.admission.open(() if self.admission.is_paused else None)
         return replies.Answers()
 
     def _open(self, handled: list[str], goals: list[str], address: str) -> None:
@@ -85,9 +85,12 @@ class Answering:
                 self._open(found.requests, found.goals, address)
             self.changed()
 
-    async def take_back(self, peer: str, address: str, *, may_answer: bool) -> None:
-        """The state has not moved after all: answer again. ``may_answer``: ``peer`` may have begun to."""
-        if not may_answer:
+    async def take_back(self, peer: str, address: str) -> None:
+        """Answer again, since the state has not moved after all: ``peer``, the new side, may have begun to answer.
+
+        It may once it has reported that it has the state, or has asked this one to stop; either ends the pause.
+        """
+        if self.admission.is_paused:
             self.admission.open(())
         else:
             with contextlib.suppress(CommandRefused):  # it answers until the manager has ended it

@@ -254,8 +254,7 @@ class StateExport(_Transfer):
             self.because = self.because or "the old component has resumed"
             if self._answered:
                 self._answered = False
-                new = self.transfer.new
-                self.start(self.answering.take_back(new, self.transfer.address, may_answer=self._imported))
+                self.start(self.answering.take_back(self.transfer.new, self.transfer.address))
         self._decided.set()
         if self.over:
             self._state = None
