@@ -203,7 +203,7 @@ class StandIn(ThreadlessProcess):
         return not self.dead and self.admission is not None and self.admission.is_open
 
     def lost_servers(self) -> set[str]:
-        """Its clients that have seen their server, or a response, and have no server in the graph now."""
+        """Return the clients of it that have seen their server, or a response, and have no server in the graph now."""
         seen = [port for port in self._stand_in.clients if port.attached and port.count]
         return {port.name for port in seen if not any(link.endpoint.matched() for link in port.links)}
 

@@ -144,7 +144,7 @@ class SimulatedGoal:
         self.status = CANCELED
 
     def end(self, result: Any) -> None:
-        """Its function has returned: one that has set no status has aborted."""
+        """Note that the function of the goal has returned: one that has set no status has aborted."""
         self.status = ABORTED if self.is_active else self.status
         self.result = result
         for respond in self.waiting:

@@ -73,7 +73,7 @@ class ServiceObserver:
         """A client has sent it."""
 
     def on_received(self, request: SimulatedRequest, process: SimulatedProcess) -> None:
-        """It has reached a server of ``process``."""
+        """A server of ``process`` has received the request."""
 
     def on_executed(self, request: SimulatedRequest, process: SimulatedProcess) -> None:
         """The code of ``process`` is called for it."""
@@ -158,7 +158,7 @@ class ServiceNetwork:
         self._deliver((sender, client), lambda: client.owner.enqueue(function))
 
     def give_up(self, request: SimulatedRequest) -> None:
-        """Its client waits for a response no longer."""
+        """Note that the client of ``request`` waits for a response no longer."""
         self.waiting.pop(request.identity, None)
 
     def _arrived(self, request: SimulatedRequest, response: Any) -> None:

@@ -50,7 +50,7 @@ async def import_state(
 ) -> str | None:
     """Have an instance import what one before it has exported, in ``timeout`` (s).
 
-    That it could not, in words, where that is no failure (``lenient``). Else raises MidstrideError.
+    Returns in words that it could not, where that is no failure (``lenient``). Else raises MidstrideError.
     """
     try:
         await client.change(instance.name, ImportStateCommand(state=left.state, timeout=timeout))
@@ -62,7 +62,7 @@ async def import_state(
 
 
 def has_left_state(instance: Instance) -> str:
-    """That an instance has imported what the last manager had left."""
+    """Say that an instance has imported what the last manager had left."""
     return f"{instance.name} has the state of {instance.role}, which was exported before the last manager ended"
 
 

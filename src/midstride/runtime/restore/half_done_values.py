@@ -30,9 +30,10 @@ _NO_VALUES: Final[Values] = Map()
 
 @dataclass(frozen=True, slots=True)
 class HalfDoneValues:
-    """Those of a system that ran ``specification`` when its manager ended, and in it the changes ``interrupted``.
+    """The values that were set in a system that ran ``specification`` when its manager ended.
 
-    ``carried``: by instance, the values when these changes had last carried them over.
+    ``interrupted``: the changes that were then under way. ``carried``: by instance, the values when these had last
+    carried them over.
     """
 
     client: ComponentClient
@@ -42,7 +43,7 @@ class HalfDoneValues:
     interrupted: Sequence[Interrupted] = ()
 
     def between(self, ended: Instance, stays: Instance) -> ValuesOfEnded:
-        """Those of ``ended``, for ``stays``, which has the same role."""
+        """Return the values of ``ended``, for ``stays``, which has the same role."""
         specification, known = self.specification, {ended.name: _NO_VALUES, **self.carried}
         created = next((change for change in self.interrupted if ended.name in change.created), None)
         if created is not None:
@@ -66,7 +67,10 @@ def _replacement(old: Instance, new: Instance, before: Specification, after: Spe
 
 @dataclass(frozen=True, slots=True)
 class ValuesOfEnded:
-    """Those of ``ended``, which is about to end, for ``stays``. ``carried``: those that a change had carried over."""
+    """The values of ``ended``, which is about to end, for ``stays``.
+
+    ``carried``: those that a change had carried over.
+    """
 
     transfer: ParameterTransfer
     ended: Instance

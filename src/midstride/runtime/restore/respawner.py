@@ -115,7 +115,7 @@ class Respawner(ReconciliationObserver):
         )
 
     def crash_loop(self, role: str) -> str | None:
-        """That a node which runs has been restarted again and again, and why it ended last; None where it has not."""
+        """Return that a node has been restarted again and again, and why it ended last; None where it has not."""
         record, policy = self._records.get(role), self._policy(role)
         if record is None or policy is None or not record.crashes:
             return None

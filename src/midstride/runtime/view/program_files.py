@@ -30,7 +30,7 @@ PATIENCE: Final = 1.0
 
 
 class FindExecutable(Protocol):
-    """As :meth:`midstride.runtime.backend_protocol.Backend.executable`."""
+    """Finds an executable, as :meth:`midstride.runtime.backend_protocol.Backend.executable`."""
 
     def __call__(self, package: str, name: str, *, composable: bool = False) -> str | None: ...
 
