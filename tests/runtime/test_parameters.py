@@ -15,10 +15,15 @@ from midstride.backends.simulator import Simulator
 from midstride.errors import BackendError, CommandRefused, ManagerError, PlanRefused
 from midstride.model.component import ParameterSpec, ParameterValue, Resource
 from midstride.model.specification import Specification
+from midstride.plan.change import Change
 from midstride.plan.request import PlanRequest
+from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
+from midstride.wire.commands import SetParametersCommand
+from midstride.wire.replies import PreviousParameters
+from tests.runtime.scripted import TALKER, Bench, bench, instance, reported, talking
 from tests.runtime.systems import EXAMPLES, example, managed, replace, saved
 
 # Says its parameters. Accepts a gain of at least 0 and at most LIMIT.
@@ -60,6 +65,35 @@ def tuned(folder: Path, new: str = source(2.5), declares: bool = True, new_gain:
         run = f"python3 {folder / f'{name}.py'}"
         components = components.set(name, changed(components[name], run=run, parameters=declared))
     return changed(specification, components=components)
+
+
+def test_what_is_set_while_values_are_carried_over_is_carried_over_the_next_time(tmp_path: Path) -> None:
+    new = instance("talker_2", TALKER, role="talker")
+    start = talking()
+
+    async def body(b: Bench) -> None:
+        change = Change(
+            b.specification, b.specification, start, start, start, start, ("talker",), (new,), Map(talker="talker_2")
+        )
+        # In a roll-back the values go back to the instance that was there before, as they are.
+        transfer = ParameterTransfer(b.client, b.system.values, change, (), keep=True, carried={"talker_2": Map()})
+
+        def set_meanwhile(command: SetParametersCommand) -> PreviousParameters:
+            b.client.report(reported(new, parameters={"gain": 3.0}, declared={"gain": 1.0}))
+            b.system.values.report(b.client.states["talker_2"])
+            return PreviousParameters(before={})
+
+        b.client.report(reported(start.instances["talker"], parameters={"gain": 1.0}))
+        b.client.report(reported(new, parameters={"gain": 2.0}, declared={"gain": 1.0}))
+        b.client.reply("talker", SetParametersCommand, set_meanwhile, PreviousParameters(before={}))
+        for _ in range(3):
+            await transfer.leaving("talker_2", start)
+        assert [each.parameters for each in b.client.of(SetParametersCommand, "talker")] == [
+            {"gain": 2.0},
+            {"gain": 3.0},
+        ]
+
+    bench(start, tmp_path, body)
 
 
 async def set_by_a_tool(simulator: Simulator, instance: str, name: str, value: object) -> None:

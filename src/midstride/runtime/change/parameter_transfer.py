@@ -286,4 +286,4 @@ class ParameterTransfer:
                 words = f"too late, after the hand-over: {error}"
                 origin = unknown.get(name, "set")
                 self._record(runtime_value(new.role, name, value, "late", words, origin))
-        self._note_carried(old, new.name)
+        self._note_carried(new.name)  # what was set on the old one meanwhile is carried over the next time
