@@ -15,7 +15,7 @@ from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.model.component import KILL_AT_ONCE, ComponentSpec, ParameterSpec, StopTimes
 from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import Exited, Handle, Launch, RemainingProcess
-from midstride.runtime.instance_life import InstanceLife, ProcessState
+from midstride.runtime.instance_life import ConnectionEvent, InstanceLife, ProcessState
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.launcher import (
     ADOPT_TIMEOUT,
@@ -26,7 +26,7 @@ from midstride.runtime.process.launcher import (
     stop_times,
 )
 from midstride.wire.commands import ObserveCommand, ReleaseCommand, WelcomeCommand
-from midstride.wire.state import Endpoint
+from midstride.wire.state import Endpoint, GoalCounts
 from tests.model import build
 from tests.planting import plant
 from tests.runtime.scripted import (
@@ -141,6 +141,45 @@ def test_what_had_to_be_killed_is_said(killed: RemainingProcess, what: str, tmp_
         assert said == [("front/camera", 3.0, words)]
 
     bench(NOTHING, tmp_path, body)
+
+
+def test_goals_are_known_of_what_has_crashed_and_not_of_what_has_its_name_then(tmp_path: Path) -> None:
+    name = CAMERA.name
+
+    async def body(b: Bench) -> None:
+        said: list[tuple[str, float, str]] = []
+        b.launcher.on_killed = lambda *told: said.append(told)
+        b.client.listeners.append(b.launcher.on_component_event)
+        b.startable(CAMERA)
+        await b.launcher.registered(CAMERA)
+        b.client.life.record(name, ConnectionEvent.OPENED)
+        b.launcher.begin_change()
+        b.client.report(reported(CAMERA, goals=GoalCounts(accepted=3, ended=1), unfinished="it had a goal"))
+        b.crash(name)
+        b.client.disconnect(name)
+        assert b.launcher.goals[name].in_progress == 2 and b.launcher.has_ended(name)
+        b.client.life.missed(name, name, Exited(name, -9))
+        assert b.launcher.has_ended(name)
+        await b.launcher.registered(CAMERA)
+        b.client.report(reported(CAMERA))
+        assert (b.launcher.ended_goals[name].in_progress, b.launcher.goals[name]) == (2, GoalCounts())
+        await b.launcher.end(name)
+        assert b.launcher.ended_goals[name].in_progress == 2, "of the first one"
+        assert said == [], "the new one has left nothing unfinished"
+        b.launcher.begin_change()
+        assert (b.launcher.goals, b.launcher.has_ended(name)) == ({}, False)
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_what_was_released_has_not_ended(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.listeners.append(b.launcher.on_component_event)
+        b.client.report(reported(BY_HAND, goals=GoalCounts(accepted=3, ended=1)))
+        await b.launcher.release("camera")
+        assert b.launcher.goals["camera"].in_progress == 2 and not b.launcher.has_ended("camera")
+
+    bench(build.system({"camera": BY_HAND.component}, []), tmp_path, body)
 
 
 @pytest.mark.parametrize(("run", "words"), [("", "has an empty `run` command"), ("echo 'x", "cannot be split")])

@@ -352,8 +352,8 @@ class ChangeSession:
         tallies.begin(system.configuration, change.actions)
         change.observers.append(tallies)
         states = system.life.latest_states
-        self.launcher.ended_with.clear()
-        self.launcher.last_known.clear()
+        self.launcher.begin_change()
+        goals = dict(self.launcher.goals)
         driver = ActionDriver(
             self.client, self.launcher, self.backend, system, self.events, change, self.store.write_exported
         )
@@ -384,7 +384,9 @@ class ChangeSession:
             swaps=swaps,
             late=driver.late,
             moved=driver.moved,
-            goals=goal_tallies(plan, states, system.life.latest_states, self.launcher.last_known),
+            goals=goal_tallies(
+                plan, goals, {**self.launcher.goals, **self.launcher.ended_goals}, self.launcher.has_ended
+            ),
             own_state={
                 name: words
                 for name, words in {**driver.own_state, **change.parameters.unknown}.items()

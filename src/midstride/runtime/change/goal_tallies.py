@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from midstride.model.wording import counted
 from midstride.plan.plan import Plan
-from midstride.runtime.instance_life import LatestState
-from midstride.runtime.process.launcher import LastKnown
 from midstride.runtime.records.reports import GoalTally
 from midstride.verdicts import listed
 from midstride.wire.state import GoalCounts
@@ -15,30 +13,23 @@ from midstride.wire.state import GoalCounts
 
 def goal_tallies(
     plan: Plan,
-    before: Mapping[str, LatestState],
-    now: Mapping[str, LatestState],
-    ended: Mapping[str, LastKnown],
+    before: Mapping[str, GoalCounts],
+    now: Mapping[str, GoalCounts],
+    has_ended: Callable[[str], bool],
 ) -> dict[str, GoalTally]:
     """By role that ``plan`` replaces, where its instances had goals.
 
-    ``before`` and ``now``: what each instance had reported last when the change began, and reports now; ``ended``: what
-    was known at last of those that were ended.
+    ``before`` and ``now``: what each instance had reported when the change began, and has reported last, also where it
+    ``has_ended`` since.
     """
     found: dict[str, GoalTally] = {}
     for old, new in plan.change.replaced.items():
-        begun = _counts(old, before, {})
-        counts = [_counts(name, now, ended) for name in (old, new)]
+        begun = before.get(old, GoalCounts())
+        counts = [now.get(name, GoalCounts()) for name in (old, new)]
         if begun.in_progress or any(each != before for each, before in zip(counts, (begun, GoalCounts()), strict=True)):
-            gone = (old in ended, new in ended)
+            gone = (has_ended(old), has_ended(new))
             found[plan.change.role_of(old)] = _tally(old, new, begun, counts[0], counts[1], gone)
     return found
-
-
-def _counts(name: str, states: Mapping[str, LatestState], ended: Mapping[str, LastKnown]) -> GoalCounts:
-    if (known := ended.get(name)) is not None and known.goals is not None:
-        return known.goals
-    latest = states.get(name)
-    return GoalCounts() if latest is None or latest.state.goals is None else latest.state.goals
 
 
 def _tally(

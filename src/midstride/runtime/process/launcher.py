@@ -8,7 +8,7 @@ import math
 import os
 import shlex
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -74,13 +74,11 @@ def stop_times(component: ComponentSpec, asked: float = 0.0) -> StopTimes:
 class LastKnown:
     """What was known of an instance when it was ended: its last report, and what it had besides its ports.
 
-    ``endpoints``: as it has named them when it registered; a node without Midstride's API has not. ``goals``: what had
-    become of its goals when its process ended.
+    ``endpoints``: as it has named them when it registered; a node without Midstride's API has not.
     """
 
     latest: LatestState | None
     endpoints: Sequence[Endpoint] = ()
-    goals: GoalCounts | None = None
 
 
 class Launcher:
@@ -104,7 +102,6 @@ class Launcher:
         self._asked: dict[str, float] = {}  # how long these take to end, as they have said (s)
         self._to_end: set[str] = set()  # of those that start, the ones whose program is to end
         self._unfinished: dict[str, str] = {}  # in which way the `on_stop` of those that end has failed
-        self._goals: dict[str, GoalCounts] = {}  # what has become of the goals of each, as it has reported last
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
         # Called with an instance whose end was cut short (a process had to be killed, or its `on_stop` has failed), the
@@ -116,6 +113,10 @@ class Launcher:
         self.ended_with: dict[str, OtherNodes] = {}
         # By instance that was ended or released since this was cleared last: what was known of it then.
         self.last_known: dict[str, LastKnown] = {}
+        # By instance, what has become of the goals of its process, as that has reported last; it may have exited since.
+        self.goals: dict[str, GoalCounts] = {}
+        # By instance, that of the first process that has ended since the change began.
+        self.ended_goals: dict[str, GoalCounts] = {}
 
     def exited(self, event: Exited) -> bool:
         """A process has exited: if its registration is awaited, the start fails.
@@ -133,8 +134,26 @@ class Launcher:
             self._backend.reported(event)
             if event.unfinished is not None:
                 self._unfinished[event.instance] = event.unfinished
-            if event.goals is not None:
-                self._goals[event.instance] = event.goals
+            self.goals[event.instance] = event.goals or GoalCounts()
+
+    def begin_change(self) -> None:
+        """Forget what was known of the instances that have ended before."""
+        self.ended_with.clear()
+        self.last_known.clear()
+        self.ended_goals.clear()
+        over = [name for name in self.goals if self.has_ended(name) or self._life[name].is_over]
+        for name in over:
+            del self.goals[name]
+
+    def has_ended(self, name: str) -> bool:
+        """Whether a process of an instance has exited, or was ended since the change began."""
+        return name in self.ended_goals or self._life.is_gone(name) or name in self._life.missing
+
+    def _forget_process(self, name: str) -> str | None:
+        """The process of an instance has ended: what it reports next is of another. Returns what it left unfinished."""
+        if (goals := self.goals.pop(name, None)) is not None:
+            self.ended_goals.setdefault(name, goals)
+        return self._unfinished.pop(name, None)
 
     def disconnected(self, name: str) -> None:
         """The connection of a component that was started by hand has closed."""
@@ -161,6 +180,7 @@ class Launcher:
         if name in self._starting:
             return False
         set_values = start_values(instance)
+        self._forget_process(name)  # it may have exited without being asked to
         self._exits[name] = asyncio.get_running_loop().create_future()
         self._started_at[name] = self._backend.clock.steady()
         self._startups[name] = instance.component.startup_seconds or 0.0
@@ -454,9 +474,7 @@ class Launcher:
             raise
         self._client.disconnect(name)
         self._components.pop(name, None)
-        asked, unfinished = self._asked.pop(name, 0.0), self._unfinished.pop(name, None)
-        if (goals := self._goals.pop(name, None)) is not None and (known := self.last_known.get(name)) is not None:
-            self.last_known[name] = replace(known, goals=goals)
+        asked, unfinished = self._asked.pop(name, 0.0), self._forget_process(name)
         if unfinished is not None and not killed and self.on_killed is not None:
             self.on_killed(name, asked, f"{name}: {unfinished}")
         for process in killed:
