@@ -31,6 +31,7 @@ from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.runtime.records.reports import ModeSkew
+from midstride.runtime.records.state_store import LeftState
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,
@@ -421,6 +422,21 @@ def test_a_state_that_is_refused_fails_the_step_but_not_a_roll_back(tmp_path: Pa
         b.roll_back()
         await perform(b, Create(NEW))
         assert b.words("note") == [f"talker_2 did not restore its state: {REFUSED}"]
+        assert b.driver.own_state == {}, "a roll-back brings back what was"
+
+    bench(talking(), tmp_path, body)
+
+
+def test_a_state_left_by_an_earlier_manager_that_is_refused_is_in_the_report(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.system.exported["talker"] = LeftState("", b"what an earlier one knew")
+        b.begin(Create(NEW))
+        b.client.reply("talker_2", ImportStateCommand, REFUSED)
+        b.startable(NEW)
+        await perform(b, Create(NEW))
+        words = f"talker_2 did not restore its state: {REFUSED}"
+        assert b.words("note") == [words]
+        assert b.driver.own_state == {"talker_2": f"{words}; lost is the state that the last talker had exported"}
 
     bench(talking(), tmp_path, body)
 

@@ -419,6 +419,8 @@ class ActionDriver:
         found = await import_state(self.client, instance, left, self._state_timeout, lenient=lenient)
         if found is not None:
             self.events.add("note", found)
+            if not self.rolling_back:
+                self.own_state[instance.name] = f"{found}; lost is the state that the last {instance.role} had exported"
         elif instance.role in self._left:
             self.events.add("note", has_left_state(instance))
         self.save(instance.role, None)
