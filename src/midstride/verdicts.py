@@ -15,7 +15,7 @@ from msgspec import Meta, structs
 
 from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec
-from midstride.model.wording import counted
+from midstride.model.wording import LOST_AT_END, WAS_KILLED, counted
 
 Continuity: TypeAlias = Literal["kept", "not_measurable", "lost"]
 ConditionState: TypeAlias = Literal["up", "degraded", "down"]
@@ -216,8 +216,11 @@ def unanswered_outputs(instance: str, topics: Sequence[str]) -> Assessment:
 
 
 def killed(instance: str, words: str) -> Assessment:
-    """A process was killed at its end: what it does then, such as writing a file, is not done."""
-    return Assessment(instance, "not_measurable", f"{words}: what it does at its end is lost")
+    """A process was killed at its end, so that what it does then, such as writing a file, is not done; or it has said
+    itself, in ``words``, what it has left unfinished.
+    """
+    lost = f": {LOST_AT_END}" if words.endswith(WAS_KILLED) else ""
+    return Assessment(instance, "not_measurable", f"{words}{lost}")
 
 
 def unmeasured_exchange(

@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from midstride.backends.simulator.virtual_loop import run
-from midstride.errors import Unreachable
+from midstride.errors import CallTimeout, Unreachable
 from midstride.node import accepted_goals
 from midstride.node.accepted_goals import Goals
-from midstride.node.control.service_answering import FOLLOW_INTERVAL, PASS_INTERVAL, Answering
+from midstride.node.control.service_answering import FOLLOW_INTERVAL, PASS_INTERVAL, RESULTS_ATTEMPTS, Answering
 from midstride.node.request_admission import HOLD, RequestAdmission, Turn
 from midstride.wire.commands import (
     AnswerCommand,
@@ -41,6 +41,8 @@ class Instance:
         self.name = name
         self.answers: dict[str, list[str]] = {}
         self.is_gone = False
+        self.late = 0  # so many calls are carried out, and their replies come too late
+        self.changes = 0
         self._role = role
         self._tasks: set[asyncio.Task[None]] = set()
         self._waiting: dict[str, list[str]] = {}  # by goal, the requests for its result
@@ -48,8 +50,11 @@ class Instance:
         clock = asyncio.get_running_loop().time
         self.admission = RequestAdmission(lambda: int(clock() * 1e9), is_open=is_open)
         self.answering = Answering(
-            self.admission, self.call, lambda: None, self._start, asyncio.sleep, lambda: self.name
+            self.admission, self.call, self._changed, self._start, asyncio.sleep, lambda: self.name
         )
+
+    def _changed(self) -> None:
+        self.changes += 1
 
     def receives_goal(self, goal: str) -> None:
         accept = partial(self._accept, goal)
@@ -108,7 +113,11 @@ class Instance:
             KeepResultsCommand: other.answering.keep_results,
             PingCommand: other._pong,
         }
-        return Reply(id="1", revision=1, result=encode_value(await handlers[type(command)](command)))
+        found = await handlers[type(command)](command)
+        if other.late:
+            other.late -= 1
+            raise CallTimeout("it has not answered")
+        return Reply(id="1", revision=1, result=encode_value(found))
 
     async def _pong(self, command: PingCommand) -> Done:
         return Done()
@@ -116,8 +125,8 @@ class Instance:
     async def replaces(self, old: Instance) -> None:
         await self.answering.answer(AnswerCommand(peer=old.name, address=old.name))
 
-    async def finishes(self) -> int:
-        """End as its process does once its goals have ended; how many results are lost."""
+    async def finishes(self) -> str | None:
+        """End as its process does once its goals have ended; which results are lost, in words."""
         lost = await self.answering.hand_over_results()
         self.is_gone = True
         return lost
@@ -215,6 +224,38 @@ def test_a_request_to_cancel_all_goals_gets_one_response_with_both_lists() -> No
     with_two(scenario)
 
 
+def test_two_clients_whose_requests_to_cancel_all_goals_look_the_same_get_a_response_each() -> None:
+    async def scenario(old: Instance, new: Instance) -> None:
+        old.receives_goal("1")
+        await new.replaces(old)
+        for each in (old, new, new, old):
+            each.cancels_all("all")
+        await asyncio.sleep(2 * PASS_INTERVAL)
+        assert (old.answers, new.answers) == ({}, {"all": ["new and old"] * 2})
+
+    with_two(scenario)
+
+
+@pytest.mark.parametrize("first", ["list", "request"])
+def test_lists_for_requests_that_look_the_same_are_taken_in_order(first: str) -> None:
+    goals, found = Goals(), list[tuple[int, bytes | None]]()
+
+    def take(number: int, added: bytes | None) -> None:
+        found.append((number, added))
+
+    for number in range(2):
+        if first == "request":
+            goals.await_list("1", partial(take, number))
+        else:
+            goals.list_arrived("1", bytes([number]))
+    for number in range(2):
+        if first == "request":
+            goals.list_arrived("1", bytes([number]))
+        else:
+            goals.await_list("1", partial(take, number))
+    assert found == [(0, b"\0"), (1, b"\1")]
+
+
 def test_a_list_that_does_not_come_is_not_waited_for_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accepted_goals, "ADDING", 0.0)
     goals, found = Goals(), list[bytes | None]()
@@ -260,12 +301,39 @@ def test_results_that_a_successor_does_not_take_are_counted() -> None:
         for goal in "12":
             old.receives_goal(goal)
             old.ends(goal)
-        assert await old.answering.hand_over_results() == 0, "nothing is handed over where there is no successor"
+        assert await old.answering.hand_over_results() is None, "nothing is handed over where there is no successor"
         old.admission.goals._handed_over = False
         await new.replaces(old)
         old.asks("1", "1")
         new.is_gone = True
-        assert await old.finishes() == 1
+        because = "its successor has not taken them: it has exited"
+        assert await old.finishes() == f"1 result that no client had fetched is lost, as {because}"
+
+    with_two(scenario)
+
+
+@pytest.mark.parametrize("late", [1, RESULTS_ATTEMPTS])
+def test_results_whose_receipt_is_confirmed_too_late_are_not_said_to_be_lost(late: int) -> None:
+    async def scenario(old: Instance, new: Instance) -> None:
+        old.receives_goal("1")
+        old.ends("1")
+        await new.replaces(old)
+        new.late = late
+        words = "it is not known whether its successor has 1 result that no client had fetched: it has not responded"
+        assert await old.finishes() == (None if late < RESULTS_ATTEMPTS else words)
+        new.asks("1", "1")
+        assert new.answers == {"1": ["result by old"]}
+
+    with_two(scenario)
+
+
+def test_an_instance_whose_state_has_moved_reports_that_its_goals_need_time() -> None:
+    async def scenario(old: Instance, new: Instance) -> None:
+        old.receives_goal("1")
+        assert old.answering.pause()
+        before = old.changes
+        old.answering.state_moved(new.name)
+        assert (old.changes, old.answering.has_successor) == (before + 1, True)
 
     with_two(scenario)
 
@@ -276,6 +344,10 @@ def test_a_goal_that_is_just_being_accepted_stays_with_the_old_instance() -> Non
     admission.close()
     assert admission.give_goals() == ["1"]
     assert admission.turn("cancel 1", "1", lambda: None) is Turn.ANSWER
+    assert admission.goals.accepted("1", lambda: None), "it is in progress here, although it was given before"
+    assert admission.goals.in_progress == 1
+    assert not admission.goals.accepted("1", lambda: None), "the same UUID once more"
+    assert admission.goals.counts == GoalCounts(accepted=1)
 
 
 def test_what_ros_has_discarded_is_still_answered_for_where_the_successor_leaves_it() -> None:

@@ -6,6 +6,7 @@ import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
+from midstride.node.control.command_handlers import REQUESTS_SECONDS, CommandHandlers
 from midstride.node.control.service_answering import PASS_INTERVAL, SERVE_TIMEOUT, YIELD_ATTEMPTS, Answering
 from midstride.node.request_admission import (
     HELD,
@@ -502,3 +504,32 @@ def test_an_instance_that_answers_again_passes_nothing_on() -> None:
         return old.handled, new.handled
 
     assert run(main()) == (["1"], [])
+
+
+def test_requests_of_which_the_successor_says_nothing_are_waited_for_and_named() -> None:
+    async def main() -> None:
+        clock, said = asyncio.get_running_loop().time, list[str]()
+
+        def steady() -> int:
+            return int(clock() * 1e9)
+
+        callbacks = SimpleNamespace(stop=None, stop_timeout=1.0)
+        handlers: Any = object.__new__(CommandHandlers)
+        handlers.parts = SimpleNamespace(callbacks=callbacks)
+        handlers.host = SimpleNamespace(
+            admission=RequestAdmission(steady, is_open=False),
+            instance="old",
+            logger=SimpleNamespace(error=said.append),
+            sleep=asyncio.sleep,
+            steady=steady,
+        )
+        answering = SimpleNamespace(has_successor=True, undecided=lambda: ["request 1"])
+        handlers._handovers = SimpleNamespace(answering=answering)
+        assert handlers._stopping_seconds() > REQUESTS_SECONDS
+        await handlers._finish_requests(steady() + int(REQUESTS_SECONDS * 1e9))
+        words = "after 10 s, its successor has not said which of the requests held here it has received"
+        assert said == [f"old ends, but {words}"] and clock() >= REQUESTS_SECONDS
+        answering.undecided = list
+        assert handlers._stopping_seconds() < REQUESTS_SECONDS
+
+    run(main())

@@ -9,9 +9,11 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, TypeAlias, TypeVar
 
 from midstride.wire.state import GoalCounts
+
+T = TypeVar("T")
 
 # How many bytes the results of a predecessor have at most, in all, that no client had fetched.
 KEPT_RESULTS: Final = 16 << 20
@@ -46,17 +48,22 @@ class Goals:
         self._handed_over = False
         self._given: frozenset[str] = frozenset()
         self._accepted = self._ended = self._cancelled = self._unknown = 0
-        # Requests to cancel many goals: what the other instance has cancelled, and what waits for that.
-        self._lists: dict[str, bytes] = {}
-        self._takers: dict[str, ListTaker] = {}
-        self._to_send: dict[str, bytes] = {}
+        # Requests to cancel many goals: what the other instance has cancelled, what waits for that, and what was
+        # cancelled here. In order of arrival, as the requests of two clients may have one identity.
+        self._lists: list[tuple[str, bytes]] = []
+        self._takers: list[tuple[str, ListTaker]] = []
+        self._to_send: list[tuple[str, bytes]] = []
 
     # -- what becomes of its goals -----------------------------------------------------------------
 
-    def accepted(self, goal: str, cancel_all: Callable[[], object]) -> None:
+    def accepted(self, goal: str, cancel_all: Callable[[], object]) -> bool:
+        """Note that ``goal`` was accepted here. Returns False if that was noted before, as its UUID was used twice."""
         with self._lock:
+            if goal in self._own:
+                return False
             self._own[goal] = _Goal(cancel_all)
             self._accepted += 1
+            return True
 
     def ended(self, goal: str, result: Callable[[], bytes], *, cancelled: bool) -> None:
         with self._lock:
@@ -150,20 +157,19 @@ class Goals:
     def add_list(self, request: str, response: bytes) -> None:
         """Leave what was cancelled here for ``request``, which the other instance answers."""
         with self._lock:
-            self._to_send[request] = response
+            self._to_send.append((request, response))
 
-    def lists_to_send(self) -> dict[str, bytes]:
-        """Take what :meth:`add_list` has left."""
+    def lists_to_send(self) -> list[tuple[str, bytes]]:
+        """Take what :meth:`add_list` has left: requests, each with what was cancelled for it."""
         with self._lock:
-            found, self._to_send = self._to_send, {}
+            found, self._to_send = self._to_send, []
             return found
 
     def list_arrived(self, request: str, response: bytes) -> None:
         with self._lock:
-            if (taker := self._takers.pop(request, None)) is None:
-                self._lists[request] = response
-                while len(self._lists) > LISTS:
-                    del self._lists[next(iter(self._lists))]
+            if (taker := _take_first(self._takers, request)) is None:
+                self._lists.append((request, response))
+                del self._lists[:-LISTS]
         if taker is not None:
             taker(response)
 
@@ -172,20 +178,31 @@ class Goals:
 
         It is called on any thread.
         """
+        waiting = (request, taker)
         with self._lock:
-            response = self._lists.pop(request, None)
+            response = _take_first(self._lists, request)
             if response is None:
-                self._takers[request] = taker
+                self._takers.append(waiting)
         if response is not None:
             taker(response)
             return
 
         def give_up() -> None:
             with self._lock:
-                late = self._takers.pop(request, None) is taker
+                late = any(each is waiting for each in self._takers)
+                self._takers = [each for each in self._takers if each is not waiting]
             if late:
                 taker(None)
 
         timer = threading.Timer(ADDING, give_up)
         timer.daemon = True
         timer.start()
+
+
+def _take_first(found: list[tuple[str, T]], request: str) -> T | None:
+    """Take the first of these that is for ``request``; None where there is none."""
+    for place, (of, each) in enumerate(found):
+        if of == request:
+            del found[place]
+            return each
+    return None

@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 from midstride.codec.parameter import from_json, json_value
 from midstride.errors import BackendError, CommandRefused
 from midstride.model.component import CANCELLING, ROS_PARAMETERS, same_value
+from midstride.model.wording import LOST_AT_END
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.author.service_ports import ActionServerPort, ServerPort
 from midstride.node.component_host import HeldParameter, Host
@@ -203,9 +204,10 @@ class CommandHandlers:
         if self.parts.callbacks.stop is not None:
             try:
                 if not await self._data.drive(self.parts.callbacks.stop, timeout):
-                    self._left_unfinished(f"on_stop did not return within {timeout:.3g} s")
+                    self._left_unfinished(f"on_stop did not return within {timeout:.3g} s: {LOST_AT_END}")
             except CAUGHT as error:
-                self._left_unfinished(legible(f"on_stop raised {type(error).__name__}: {error}").partition("\n")[0])
+                words = legible(f"on_stop raised {type(error).__name__}: {error}").partition("\n")[0]
+                self._left_unfinished(f"{words}: {LOST_AT_END}")
                 self.host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
             await self._attachments.close_all(0.5)
@@ -226,8 +228,12 @@ class CommandHandlers:
         held = set(answering.undecided())
         while admission.busy or held.intersection(answering.undecided()) or self._may_pass_on:
             if self.host.steady() >= deadline:
-                words = f"a request to a service of it was not answered within {REQUESTS_SECONDS:g} s"
-                if not admission.busy:
+                if admission.busy:
+                    words = f"a request to a service of it was not answered within {REQUESTS_SECONDS:g} s"
+                elif held.intersection(answering.undecided()):
+                    words = f"after {REQUESTS_SECONDS:g} s, its successor has not said which of the requests held here "
+                    words += "it has received"
+                else:
                     words = f"after {REQUESTS_SECONDS:g} s, a client still sends its requests to it alone"
                 self.host.logger.error(f"{self.host.instance} ends, but {words}")
                 return
@@ -256,9 +262,8 @@ class CommandHandlers:
             else:
                 words += ", and cancelling was asked for"
             self._left_unfinished(words)
-        if lost := await answering.hand_over_results():
-            are = "result is" if lost == 1 else "results are"
-            self._left_unfinished(f"{lost} {are} lost that no client had fetched")
+        if (words := await answering.hand_over_results()) is not None:
+            self._left_unfinished(words)
         if goals.counts is not None:
             await self.host.sleep(RESPONSE_SECONDS)
 
@@ -332,7 +337,8 @@ class CommandHandlers:
         That of a request that is being handled, or may have to be passed on, of the call under way, and of `on_stop`.
         """
         callbacks = self.parts.callbacks
-        requests = REQUESTS_SECONDS if self.host.admission.busy or self._may_pass_on else 0.0
+        waits = self.host.admission.busy or self._may_pass_on or self._handovers.answering.undecided()
+        requests = REQUESTS_SECONDS if waits else 0.0
         requests += self.patience + 2 * CANCELLING + RESPONSE_SECONDS if self._goes_on_with_goals else 0.0
         requests += RESPONSE_SECONDS if requests or self.host.admission.answered_within(RESPONSE_SECONDS) else 0.0
         return requests + callbacks.stop_timeout * (1 if callbacks.stop is None else 2) + SHUTDOWN_SECONDS

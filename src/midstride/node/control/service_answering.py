@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, MidstrideError, Unreachable
+from midstride.model.wording import counted
 from midstride.node.request_admission import PASS_AFTER, PassableRequest, RequestAdmission
 from midstride.wire import commands, replies
 from midstride.wire.channel import result_of
@@ -31,8 +32,9 @@ MISSING_TIMEOUT: Final = 0.5
 SERVE_TIMEOUT: Final = 10.0
 # How often a successor looks whether the predecessor, which answers for its goals, still runs (s).
 FOLLOW_INTERVAL: Final = 0.5
-# How long handing over the results of goals may take (s): 16 MiB take less than one.
-RESULTS_TIMEOUT: Final = 3.0
+# How long one attempt to hand over the results of goals may take (s), which are 16 MiB at most, and how many there are.
+RESULTS_TIMEOUT: Final = 1.0
+RESULTS_ATTEMPTS: Final = 3
 
 
 @dataclass
@@ -122,6 +124,7 @@ class Answering:
         """The state has moved to the instance at ``address``, which answers from now on."""
         self.admission.leave()
         self.pass_on_to(address)
+        self.changed()  # it now needs time for its goals to end
 
     def pass_on_to(self, address: str) -> None:
         """Admission is closed, and the instance at ``address`` answers: pass on what only this one receives.
@@ -147,7 +150,7 @@ class Answering:
                 self._successor = None
                 return
             await self._pass_overdue(address)
-            for request, response in self.admission.goals.lists_to_send().items():
+            for request, response in self.admission.goals.lists_to_send():
                 cancelled = commands.CancelledGoalsCommand(request=request, response=response)
                 with contextlib.suppress(BackendError):  # it answers with its own list alone
                     await self.call(address, cancelled, MISSING_TIMEOUT)
@@ -203,19 +206,29 @@ class Answering:
         self.admission.predecessor_ended(command.results)
         return replies.Done()
 
-    async def hand_over_results(self) -> int:
+    async def hand_over_results(self) -> str | None:
         """Before this instance ends: leave the results that no client has fetched to the successor.
 
-        How many are lost, as it does not take them, is returned.
+        Returns how many are lost, or may be, in words; None where it has them, or there are none.
         """
         if (address := self._successor) is None:
-            return 0
+            return None
         keep = commands.KeepResultsCommand(results=self.admission.goals.hand_over(), timeout=RESULTS_TIMEOUT)
-        try:
-            result_of(await self.call(address, keep, RESULTS_TIMEOUT), keep)
-        except MidstrideError:
-            return len(keep.results)
-        return 0
+        number = counted(len(keep.results), "result")
+        for _ in range(RESULTS_ATTEMPTS):  # kept twice is kept once
+            try:
+                result_of(await self.call(address, keep, RESULTS_TIMEOUT), keep)
+                return None
+            except CallTimeout:
+                continue
+            except MidstrideError as error:
+                if not keep.results:
+                    return None
+                are = "is" if len(keep.results) == 1 else "are"
+                return f"{number} that no client had fetched {are} lost, as its successor has not taken them: {error}"
+        if not keep.results:
+            return None
+        return f"it is not known whether its successor has {number} that no client had fetched: it has not responded"
 
     # -- requests that the predecessor passes on -----------------------------------------------------
 

@@ -154,8 +154,8 @@ def guard_action(server: Any, admission: RequestAdmission, later: Callable[[Call
     async def accept(identity: str, goal: str, entry: Any) -> None:
         try:
             await execute({"goal": entry})
-            if (result := server._result_futures.get(bytes.fromhex(goal))) is not None and not goals.has(goal):
-                goals.accepted(goal, cancel_all)
+            result = server._result_futures.get(bytes.fromhex(goal))
+            if result is not None and goals.accepted(goal, cancel_all):
                 result.add_done_callback(partial(ended, goal))
         finally:
             admission.finished(identity)
