@@ -262,8 +262,8 @@ class CommandHandlers:
             else:
                 words += ", and cancelling was asked for"
             self._left_unfinished(words)
-        if (words := await answering.hand_over_results()) is not None:
-            self._left_unfinished(words)
+        if (lost := await answering.hand_over_results()) is not None:
+            self._left_unfinished(lost)
         if goals.counts is not None:
             await self.host.sleep(RESPONSE_SECONDS)
 
