@@ -30,6 +30,11 @@ This module imports nothing, so that every other one may import it.
 from __future__ import annotations
 
 
+def internal_error(error: BaseException) -> str:
+    """The message for the user of an exception that nobody expected, with all that it names, such as its file."""
+    return f"internal error: {type(error).__name__}: {error}"
+
+
 class MidstrideError(Exception):
     """The base class of everything that Midstride raises on purpose. ``str(error)`` is a message for the user."""
 

@@ -214,7 +214,7 @@ def test_a_step_that_is_rejected_once_it_is_done_is_undone_as_well(tmp_path: Pat
 def test_an_unexpected_error_is_taken_back_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker", DetachCommand, KeyError("what is this?"))
-        with pytest.raises(StepFailed, match=r"internal error: KeyError\('what is this\?'\)") as failed:
+        with pytest.raises(StepFailed, match=r"internal error: KeyError: 'what is this\?'") as failed:
             await b.carry_out([DEGRADE, DETACH])
         assert failed.value.outcome == "rolled_back"
         assert b.system.configuration == talking()

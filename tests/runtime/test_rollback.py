@@ -304,7 +304,7 @@ def test_a_failure_that_nobody_foresaw_is_taken_back_as_well(tmp_path: Path, cap
         return outcome
 
     outcome = managed("talker", tmp_path, body, simulator)
-    assert outcome.outcome == "rolled_back" and "internal error: KeyError('what is this?')" in str(outcome.because)
+    assert outcome.outcome == "rolled_back" and "internal error: KeyError: 'what is this?'" in str(outcome.because)
     assert "Traceback" in caplog.text
 
 

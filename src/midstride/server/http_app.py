@@ -19,7 +19,7 @@ from starlette.requests import ClientDisconnect
 
 from midstride import __version__
 from midstride.codec.specification_form import SpecificationForm
-from midstride.errors import MidstrideError, SpecificationError
+from midstride.errors import MidstrideError, SpecificationError, internal_error
 from midstride.plan.alternatives import alternatives
 from midstride.plan.forms.request_form import ChangeRequest
 from midstride.runtime.records.change_history import History, SpecificationVersion
@@ -116,7 +116,7 @@ async def _disconnected(_: Request, __: Exception) -> Response:
 
 
 async def _internal_error(_: Request, error: Exception) -> Response:
-    return answer(Failure.named("InternalError", f"internal error: {error!r}"), 500)
+    return answer(Failure.named("InternalError", internal_error(error)), 500)
 
 
 def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:

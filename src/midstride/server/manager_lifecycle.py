@@ -12,7 +12,7 @@ import logging
 from collections.abc import Callable, Coroutine
 from typing import Any, Final, TypeVar
 
-from midstride.errors import ManagerError, MidstrideError
+from midstride.errors import ManagerError, MidstrideError, internal_error
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import DownReport, UpReport
 from midstride.runtime.records.status_forms import Phase
@@ -69,7 +69,7 @@ class Lifecycle:
             self.failure = ManagerError(f"the system is not up: {self._why_interrupted}")
         except Exception as error:  # a fault of ours must still end in an answer
             log.exception("bringing the system up failed")
-            self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
+            self.failure = ManagerError(f"bringing the system up failed: {internal_error(error)}")
         self.phase = "up" if self.failure is None else "failed"
         if self.failure is not None:
             self.manager.events.add("up_failed", str(self.failure))

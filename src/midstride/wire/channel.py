@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 
 import msgspec
 
-from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreachable
+from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreachable, internal_error
 from midstride.wire import frames
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
@@ -116,7 +116,7 @@ class Channel:
         except ProtocolError as error:
             words = str(error)
         except Exception as error:  # of the caller's `report`
-            words = f"internal error: {error!r}"
+            words = internal_error(error)
             asyncio.get_running_loop().call_exception_handler(
                 {"message": f"handling a report of {self.greeting.instance} failed", "exception": error}
             )

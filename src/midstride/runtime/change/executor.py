@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from midstride.errors import BackendError, MidstrideError, StartFailed, StepFailed, Superseded
+from midstride.errors import BackendError, MidstrideError, StartFailed, StepFailed, Superseded, internal_error
 from midstride.model import wording
 from midstride.model.action import Action, Create, Handover, Remove, SetParameters
 from midstride.model.configuration import Configuration
@@ -529,4 +529,4 @@ def _words(error: BaseException) -> str:
     if isinstance(error, asyncio.CancelledError):
         return "the manager is shutting down"
     log.error("a step failed with an unexpected error", exc_info=error)
-    return f"internal error: {error!r}"
+    return internal_error(error)

@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Coroutine, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from midstride.errors import CommandRefused, MidstrideError
+from midstride.errors import CommandRefused, MidstrideError, internal_error
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
@@ -206,7 +206,7 @@ class Reconciler:
                 self._tell_observers()
             except Exception as error:  # nothing awaits this task, so errors are logged here
                 log.exception("reconciling failed")
-                self.events.add("note", f"reconciling failed: internal error: {error!r}")
+                self.events.add("note", f"reconciling failed: {internal_error(error)}")
 
     async def reconcile_crashes(self) -> None:
         """Reconcile if a component has crashed, and wait for a reconciliation in progress."""
