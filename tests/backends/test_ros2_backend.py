@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from midstride.backends.ros2 import dds_profiles
+from midstride.backends.ros2.manager.component_containers import LoadRequest
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.foreign.page import GATES_FOLDER
@@ -264,12 +265,12 @@ def test_a_node_without_the_api_that_nobody_can_answer_for_does_not_run(
     started: list[int] = []
     answering = ForeignNodes.started
 
-    async def started_then(nodes: ForeignNodes, record: ForeignRecord, handle: Handle) -> None:
+    async def started_then(nodes: ForeignNodes, record: ForeignRecord, handle: Handle, *request: LoadRequest) -> None:
         assert handle.pid is not None and alive(handle.pid)
         started.append(handle.pid)
         if fault == "cancelled" and len(started) == 1:
             raise asyncio.CancelledError
-        await answering(nodes, record, handle)
+        await answering(nodes, record, handle, *request)
 
     monkeypatch.setattr(ForeignNodes, "started", started_then)
     component = load_text(chat("none")).require().components["Talker"]

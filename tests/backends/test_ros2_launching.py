@@ -68,6 +68,7 @@ def test_a_component_is_given_its_identity() -> None:
         "MIDSTRIDE_INSTANCE": "front/camera",
         "MIDSTRIDE_NODE": "",
         "MIDSTRIDE_STANDBY": "",
+        "MIDSTRIDE_PATIENCE": "60",
         "MIDSTRIDE_NAMESPACE": "front",
         "MIDSTRIDE_TOKEN": "the-token",
         "MIDSTRIDE_CONTROL": str(HERE / "components"),
