@@ -71,10 +71,12 @@ def test_what_outlasts_its_time_to_answer_is_in_plan_and_report(tmp_path: Path) 
             await system.until(lambda: (tmp_path / "calls").read_text().startswith("0_1"))
             report = await system.change("Info")
             assert (report.outcome, report.because) == ("done", None)
-            assert report.plan is not None and list(report.plan.remarks or ()) == [
+            remark = (
                 "talker_2 answers service /count once talker has answered the requests that it has taken, after 0.3 s "
                 "(`drain`) at the latest"
-            ]
+            )
+            # While its only thread handles that request, it may not have said its parameters either.
+            assert report.plan is not None and remark in list(report.plan.remarks or ())
             found = [event.words for event in system.manager.events.since(0) if event.kind in ("note", "killed")]
             left = "talker: 1 request that it had taken was not answered within the 0.3 s of `drain`"
             assert [each for each in found if "drain" in each] == [

@@ -61,27 +61,30 @@ async def _is_closed(lab: Lab, instance: str) -> bool:
     return bool((await lab.port(instance, "answer", "/answer"))["gate"] == "closed")
 
 
+def assert_executed_once(words: list[str]) -> None:
+    """A server numbers what it executes. Of several requests under way, ROS promises no order of the responses."""
+    assert_unbroken(sorted(words, key=lambda word: int(word.rsplit(" ", 1)[1])))
+
+
 @service_check
 async def answers_each_request_once(lab: Lab) -> None:
-    """In order; what is sent before the server is discovered, too."""
+    """What is sent before the server is discovered, too."""
     await _ask(lab, puppets.asker())
     await _serve(lab, "server", puppets.server())
     await lab.eventually("responses come", lambda: _responses(lab), lambda words: len(words) > 10)
     exported = await _settled(lab)
     words = exported["responded"]["ask"]
     assert exported["unanswered"] == {} and len(words) == exported["asked"]["ask"]
-    assert_unbroken(words)
-    assert words[0] == "server 1" and words[-1] == f"server {len(words)}"
+    assert_executed_once(words)
+    assert {"server 1", f"server {len(words)}"} <= set(words)
 
 
 @service_check
 async def hands_over_requests(lab: Lab) -> None:
-    """Each is answered once, by the old server to the last and then by the new one."""
+    """Each is answered once, by the old server or by the new one."""
     words = (await _handed_over(lab, puppets.TRIGGER))["responded"]["ask"]
-    of_old = [word for word in words if word.startswith("old ")]
-    assert words[: len(of_old)] == of_old
-    assert_unbroken(of_old)
-    assert_unbroken(words[len(of_old) :])
+    for server in ("old ", "new "):
+        assert_executed_once([word for word in words if word.startswith(server)])
 
 
 @service_check

@@ -32,7 +32,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
     """What the manager of a system knows before any of its components has reported."""
     clock = SystemClock()
     client = ComponentClient(cast(Any, None), clock, "token")
-    nothing = cast(Any, SimpleNamespace(status=lambda _: None))
+    nothing = cast(Any, SimpleNamespace(status=lambda _: None, crash_loop=lambda _: None))
     backend = SimpleNamespace(
         name="scripted",
         clock=clock,
