@@ -33,7 +33,8 @@ from midstride.backends.ros2 import dds_profiles, names
 from midstride.backends.ros2.component.early_join import hidden_node
 from midstride.backends.ros2.manager import component_containers, launching, process_nodes
 from midstride.backends.ros2.manager.addressed_services import AddressedServices
-from midstride.backends.ros2.manager.component_containers import ContainerServices, LoadRequest
+from midstride.backends.ros2.manager.component_containers import LoadRequest
+from midstride.backends.ros2.manager.container_services import ContainerServices
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_owner import node_owner

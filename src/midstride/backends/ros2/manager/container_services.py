@@ -1,0 +1,59 @@
+"""The services of a component container, called from the manager's loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from rclpy.parameter import Parameter
+
+from midstride.backends.ros2.manager.component_containers import LoadRequest
+from midstride.backends.ros2.manager.node_services import AGAIN, RosNodeServices
+from midstride.errors import BackendError
+from midstride.foreign.services import NoAnswer
+from midstride.model.instance_names import split_name
+
+_LOAD: Final = "_container/load_node"
+_LIST: Final = "_container/list_nodes"
+
+
+class ContainerServices(RosNodeServices):
+    """The services of the container with the full name ``name``, called from the manager's loop without a thread."""
+
+    async def load(self, request: LoadRequest, timeout: float) -> None:
+        """Have the node loaded within ``timeout`` (s). Raises BackendError: why it is not."""
+        from composition_interfaces.srv import ListNodes, LoadNode
+
+        async def lost() -> bool:
+            """Not if it is busy with the request: it answers them one after the other."""
+            try:
+                listed = await self._call(ListNodes, _LIST, AGAIN)
+            except NoAnswer:
+                return False
+            return request.node not in listed.full_node_names
+
+        name, namespace = split_name(request.node)
+        message = LoadNode.Request(
+            package_name=request.package,
+            plugin_name=request.plugin,
+            node_name=name,
+            node_namespace=namespace,
+            remap_rules=[*request.remaps],
+            parameters=_messages(request.parameters),
+            extra_arguments=_messages(request.extra),
+        )
+        what = f"{request.plugin} of package {request.package}"
+        try:
+            response = await self._call(LoadNode, _LOAD, timeout, message, lost)
+        except NoAnswer as error:
+            late = f"if it takes longer, state `takes {2 * timeout:g} s` after its `run` command"
+            raise BackendError(f"{what} is not loaded: {error}; {late}") from None
+        if not response.success:
+            raise BackendError(
+                f"{request.container} has not loaded {what}: {response.error_message or 'no reason given'}"
+            )
+
+
+def _messages(values: Mapping[str, Any]) -> list[Any]:
+    """An empty list has no type that a message could state, and a parameter file leaves it out as well."""
+    return [Parameter(name, value=value).to_parameter_msg() for name, value in values.items() if value != []]
