@@ -214,10 +214,10 @@ while True:
     ("ends_on", "stop", "came", "is_killed"),
     [
         ("SIGINT", StopTimes(10.0, 10.0), ["SIGINT"], False),
-        ("SIGTERM", StopTimes(0.1, 10.0), ["SIGINT", "SIGTERM"], False),
+        ("SIGTERM", StopTimes(1.0, 10.0), ["SIGINT", "SIGTERM"], False),
         ("SIGTERM", StopTimes(0.0, 10.0), ["SIGTERM"], False),
-        ("nothing", StopTimes(0.1, 0.1), ["SIGINT", "SIGTERM"], True),
-        ("SIGTERM", StopTimes(0.1, 0.0), ["SIGINT"], True),
+        ("nothing", StopTimes(1.0, 1.0), ["SIGINT", "SIGTERM"], True),
+        ("SIGTERM", StopTimes(1.0, 0.0), ["SIGINT"], True),
     ],
 )
 def test_a_process_is_asked_with_sigint_then_with_sigterm_and_then_killed(
