@@ -85,7 +85,9 @@ def at_each_request(work: Callable[[Path, MortalDisk, int], bool], folder: Path,
         number += every
 
 
-EVERY = pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.full)])
+EVERY = pytest.mark.parametrize(
+    "every", [pytest.param(7, marks=pytest.mark.full), pytest.param(1, marks=pytest.mark.long)]
+)
 WHEN = pytest.mark.parametrize("when", ["before", "after"])
 
 
