@@ -7,14 +7,6 @@
 
 #include <rosidl_runtime_c/string_functions.h>
 #include <std_msgs/msg/string.h>
-#include <time.h>
-
-static long long now(void)
-{
-  struct timespec at;
-  clock_gettime(CLOCK_MONOTONIC, &at);
-  return at.tv_sec * 1000000000ll + at.tv_nsec;
-}
 
 static int compare(const void *one, const void *other)
 {
@@ -44,15 +36,11 @@ static void publish_times(rcl_publisher_t *publisher, std_msgs__msg__String *mes
 
 int main(int count, char **arguments)
 {
-  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
-  rcl_context_t context = rcl_get_zero_initialized_context();
-  rcl_node_t node = rcl_get_zero_initialized_node();
-  rcl_node_options_t node_options = rcl_node_get_default_options();
+  rcl_context_t context;
+  rcl_node_t node;
   rcl_publisher_t publisher = rcl_get_zero_initialized_publisher();
   rcl_publisher_options_t publisher_options = rcl_publisher_get_default_options();
-  require(rcl_init_options_init(&options, rcl_get_default_allocator()), "options");
-  require(rcl_init(count, (const char *const *)arguments, &options, &context), "init");
-  require(rcl_node_init(&node, "publisher", "", &context, &node_options), "node");
+  start_node(count, arguments, "publisher", &context, &node);
   require(rcl_publisher_init(&publisher, &node, ROSIDL_GET_MSG_TYPE_SUPPORT(std_msgs, msg, String), arguments[1],
                              &publisher_options),
           arguments[1]);

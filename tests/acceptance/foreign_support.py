@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import re
 import subprocess
+import sys
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from contextlib import ExitStack, asynccontextmanager, contextmanager
@@ -218,6 +219,18 @@ def manager_of(specification: Specification, folder: Path) -> Manager:
     """Its `up` raises if a single node cannot be started."""
     workspace = Workspace(folder / "system")
     return Manager(specification, backends.make("ros2", workspace), workspace, folder, options=STRICT)
+
+
+def system_to_kill(folder: Path, program: str, topic: str) -> Specification:
+    """A node `source` that runs the text ``program``, and another component with it, for a manager that is killed."""
+    (folder / "source.py").write_text(program, encoding="utf-8")
+    text = f"system killed\ntopic {topic} : std_msgs/msg/String @ 50 Hz\n"
+    for name in ("Source", "OtherSource"):
+        text += declared_talker(name, f"{sys.executable} {folder / 'source.py'}", "preload")
+    path = folder / "killed.stride"
+    path.write_text(f"{text}node source : Source {{ out -> {topic} }}\n", encoding="utf-8")
+    (folder / "system").mkdir()
+    return load(path).require()
 
 
 class Recorded:

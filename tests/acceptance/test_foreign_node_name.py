@@ -7,16 +7,12 @@ from __future__ import annotations
 
 import asyncio
 import os
-import sys
 from pathlib import Path
 
 import pytest
 
-from midstride import backends
 from midstride.lang.load import load
-from midstride.runtime.manager import Manager
-from midstride.runtime.workspace import Workspace
-from tests.acceptance.foreign_support import Robot, declared_talker, robot
+from tests.acceptance.foreign_support import Robot, declared_talker, manager_of, robot, system_to_kill
 from tests.acceptance.serving import CLIENTS, LIFECYCLE_SERVER, called
 from tests.acceptance.support import ended
 from tests.acceptance.test_manager_killed import kill_the_manager
@@ -121,31 +117,21 @@ def test_one_client_sets_the_parameters_of_a_node_across_many_replacements(tmp_p
 @pytest.mark.timeout(500)
 def test_the_next_manager_finds_which_of_two_nodes_of_a_name_is_which(tmp_path: Path) -> None:
     """A manager is killed at the change-over, while both run; the next one addresses the node of each instance."""
-    (tmp_path / "source.py").write_text(MAPPER, encoding="utf-8")
-    text = "system killed\ntopic /swap : std_msgs/msg/String @ 50 Hz\n"
-    for name in ("Source", "OtherSource"):
-        text += declared_talker(name, f"{sys.executable} {tmp_path / 'source.py'}", "preload")
-    (tmp_path / "killed.stride").write_text(f"{text}node source : Source {{ out -> /swap }}\n", encoding="utf-8")
-    specification, system = load(tmp_path / "killed.stride").require(), tmp_path / "system"
-    system.mkdir()
-
-    def manager_of_it() -> Manager:
-        workspace = Workspace(system)
-        return Manager(specification, backends.make("ros2", workspace), workspace, tmp_path)
+    specification = system_to_kill(tmp_path, MAPPER, "/swap")
 
     def last_set() -> list[str]:
         return (tmp_path / "set").read_text(encoding="utf-8").splitlines()[-1].split()
 
     async def scenario() -> None:
-        manager = manager_of_it()
+        manager = manager_of(specification, tmp_path)
         await manager.up()
         with Bare("tool") as bare:
             for value, point in enumerate(POINTS, start=1):
                 await manager.close()
-                await asyncio.to_thread(kill_the_manager, system, point[0], "1", point[1])
+                await asyncio.to_thread(kill_the_manager, tmp_path / "system", point[0], "1", point[1])
                 # One of the two answers; which instance that is, the next manager finds.
                 assert await set_by_a_client(bare, "/source", "resolution", float(value)) == (True, "")
-                manager = manager_of_it()
+                manager = manager_of(specification, tmp_path)
                 await manager.up()
                 (report,) = await manager.parameters("source")
                 values = {each.name: each.value for each in report.parameters}

@@ -7,19 +7,15 @@ from __future__ import annotations
 
 import asyncio
 import os
-import sys
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from midstride import backends
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
-from midstride.runtime.manager import Manager
-from midstride.runtime.workspace import Workspace
-from tests.acceptance.foreign_support import Robot, declared_talker, robot
+from tests.acceptance.foreign_support import Robot, declared_talker, manager_of, robot, system_to_kill
 from tests.acceptance.support import ended
 from tests.acceptance.test_manager_killed import kill_the_manager
 from tests.backends.ros2_support import Bare, run
@@ -206,22 +202,12 @@ POINTS = [
 @pytest.mark.timeout(600)
 def test_a_manager_that_is_killed_while_state_moves_leaves_one_node_with_all_of_it(tmp_path: Path) -> None:
     """One of the two answers each request, with what it knows of all those before; the next manager keeps it."""
-    (tmp_path / "counter.py").write_text(COUNTER, encoding="utf-8")
-    text = "system killed\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
-    for name in ("Source", "OtherSource"):
-        text += declared_talker(name, f"{sys.executable} {tmp_path / 'counter.py'}", "preload")
-    (tmp_path / "killed.stride").write_text(f"{text}node source : Source {{ out -> /chat }}\n", encoding="utf-8")
-    specification, system = load(tmp_path / "killed.stride").require(), tmp_path / "system"
-    system.mkdir()
-
-    def manager_of_it() -> Manager:
-        workspace = Workspace(system)
-        return Manager(specification, backends.make("ros2", workspace), workspace, tmp_path)
+    specification = system_to_kill(tmp_path, COUNTER, "/chat")
 
     async def scenario() -> None:
         from rcl_interfaces.srv import ListParameters
 
-        manager, handled = manager_of_it(), 0
+        manager, handled = manager_of(specification, tmp_path), 0
         await manager.up()
         with Bare("client") as bare:
             client: Any = bare.node.create_client(ListParameters, "/handle")
@@ -237,9 +223,9 @@ def test_a_manager_that_is_killed_while_state_moves_leaves_one_node_with_all_of_
             for point in POINTS:
                 await answered(point)
                 await manager.close()
-                await asyncio.to_thread(kill_the_manager, system, point[0], "1", point[1])
+                await asyncio.to_thread(kill_the_manager, tmp_path / "system", point[0], "1", point[1])
                 await answered(f"killed {point}")
-                manager = manager_of_it()
+                manager = manager_of(specification, tmp_path)
                 await manager.up()
                 await answered(f"after killed {point}")
                 assert (await manager.status()).valid

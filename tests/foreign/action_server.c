@@ -11,17 +11,9 @@
 #include <rosidl_runtime_c/string_functions.h>
 #include <string.h>
 #include <test_msgs/action/fibonacci.h>
-#include <time.h>
 
 #define MOST 64
 #define STEP 50000000ll /* ns between two numbers */
-
-static long long now(void)
-{
-  struct timespec at;
-  clock_gettime(CLOCK_MONOTONIC, &at);
-  return at.tv_sec * 1000000000ll + at.tv_nsec;
-}
 
 struct running {
   rcl_action_goal_handle_t *handle; /* NULL: the place is free */
@@ -182,19 +174,15 @@ static void count_on(void)
 
 int main(int count, char **arguments)
 {
-  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
-  rcl_context_t context = rcl_get_zero_initialized_context();
-  rcl_node_t node = rcl_get_zero_initialized_node();
-  rcl_node_options_t node_options = rcl_node_get_default_options();
+  rcl_context_t context;
+  rcl_node_t node;
   rcl_publisher_t publisher = rcl_get_zero_initialized_publisher();
   rcl_publisher_options_t publisher_options = rcl_publisher_get_default_options();
   rcl_action_server_options_t server_options = rcl_action_server_get_default_options();
   rcl_wait_set_t set = rcl_get_zero_initialized_wait_set();
   rcl_clock_t clock;
   rcl_allocator_t memory = rcl_get_default_allocator();
-  require(rcl_init_options_init(&options, memory), "options");
-  require(rcl_init(count, (const char *const *)arguments, &options, &context), "init");
-  require(rcl_node_init(&node, "server", "", &context, &node_options), "node");
+  start_node(count, arguments, "server", &context, &node);
   require(rcl_publisher_init(&publisher, &node, ROSIDL_GET_MSG_TYPE_SUPPORT(std_msgs, msg, String), "chatter",
                              &publisher_options),
           "publisher");
@@ -211,8 +199,7 @@ int main(int count, char **arguments)
   if (!executed)
     return 1;
   setvbuf(executed, NULL, _IOLBF, 0);
-  const char *instance = getenv("MIDSTRIDE_INSTANCE"); /* of two in a hand-over, the name is one */
-  name = instance ? instance : rcl_node_get_name(&node);
+  name = instance_of(&node);
   long long period = atoll(arguments[1]), slot = now();
   std_msgs__msg__String message;
   std_msgs__msg__String__init(&message);

@@ -9,19 +9,15 @@
 
 int main(int count, char **arguments)
 {
-  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
-  rcl_context_t context = rcl_get_zero_initialized_context();
-  rcl_node_t node = rcl_get_zero_initialized_node();
-  rcl_node_options_t node_options = rcl_node_get_default_options();
+  rcl_context_t context;
+  rcl_node_t node;
   rcl_subscription_t subscription = rcl_get_zero_initialized_subscription();
   rcl_subscription_options_t subscription_options = rcl_subscription_get_default_options();
   rcl_publisher_t publisher = rcl_get_zero_initialized_publisher();
   rcl_publisher_options_t publisher_options = rcl_publisher_get_default_options();
   rcl_wait_set_t waiting = rcl_get_zero_initialized_wait_set();
   subscription_options.qos.depth = publisher_options.qos.depth = 1000; /* a process may be late */
-  require(rcl_init_options_init(&options, rcl_get_default_allocator()), "options");
-  require(rcl_init(count, (const char *const *)arguments, &options, &context), "init");
-  require(rcl_node_init(&node, "answerer", "", &context, &node_options), "node");
+  start_node(count, arguments, "answerer", &context, &node);
   const rosidl_message_type_support_t *type = ROSIDL_GET_MSG_TYPE_SUPPORT(std_msgs, msg, String);
   require(rcl_publisher_init(&publisher, &node, type, arguments[2], &publisher_options), arguments[2]);
   require(rcl_subscription_init(&subscription, &node, type, arguments[1], &subscription_options), arguments[1]);
@@ -36,7 +32,7 @@ int main(int count, char **arguments)
       require(woken, "wait");
     while (rcl_take(&subscription, &message, NULL, NULL) == RCL_RET_OK) {
       char text[300];
-      snprintf(text, sizeof text, "%s%s", getenv("MIDSTRIDE_INSTANCE"), strchr(message.data.data, ' '));
+      snprintf(text, sizeof text, "%s%s", instance_of(&node), strchr(message.data.data, ' '));
       rosidl_runtime_c__String__assign(&message.data, text);
       require(rcl_publish(&publisher, &message, NULL), "publish");
     }

@@ -20,9 +20,7 @@ static void talk(struct composable *self)
 {
   struct talker *talker = self->state;
   char text[300];
-  const char *instance = getenv("MIDSTRIDE_INSTANCE"); /* of two in a hand-over, the name is one */
-  snprintf(text, sizeof text, "%s-" TEXT " %lld", instance ? instance : rcl_node_get_name(&self->node),
-           ++talker->number);
+  snprintf(text, sizeof text, "%s-" TEXT " %lld", instance_of(&self->node), ++talker->number);
   rosidl_runtime_c__String__assign(&talker->message.data, text);
   require(rcl_publish(&talker->publisher, &talker->message, NULL), "publish");
 }

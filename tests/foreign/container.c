@@ -9,10 +9,8 @@
 #include <dlfcn.h>
 #include <rosidl_runtime_c/string_functions.h>
 #include <string.h>
-#include <time.h>
 
 #define MOST 32
-
 
 typedef composition_interfaces__srv__LoadNode_Request load_request;
 typedef composition_interfaces__srv__LoadNode_Response load_response;
@@ -20,13 +18,6 @@ typedef composition_interfaces__srv__LoadNode_Response load_response;
 static struct composable *loaded[MOST];
 static rcl_context_t context;
 static const load_request *current;
-
-static long long now(void)
-{
-  struct timespec at;
-  clock_gettime(CLOCK_MONOTONIC, &at);
-  return at.tv_sec * 1000000000ll + at.tv_nsec;
-}
 
 static double number_of(const char *name, double otherwise)
 {
@@ -170,9 +161,7 @@ static void answer(rcl_service_t *loads, rcl_service_t *unloads, rcl_service_t *
 
 int main(int count, char **arguments)
 {
-  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
-  rcl_node_t node = rcl_get_zero_initialized_node();
-  rcl_node_options_t node_options = rcl_node_get_default_options();
+  rcl_node_t node;
   rcl_service_t services[3];
   rcl_service_options_t service_options = rcl_service_get_default_options();
   rcl_wait_set_t set = rcl_get_zero_initialized_wait_set();
@@ -181,10 +170,7 @@ int main(int count, char **arguments)
       ROSIDL_GET_SRV_TYPE_SUPPORT(composition_interfaces, srv, UnloadNode),
       ROSIDL_GET_SRV_TYPE_SUPPORT(composition_interfaces, srv, ListNodes)};
   const char *names[3] = {"~/_container/load_node", "~/_container/unload_node", "~/_container/list_nodes"};
-  context = rcl_get_zero_initialized_context();
-  require(rcl_init_options_init(&options, rcl_get_default_allocator()), "options");
-  require(rcl_init(count, (const char *const *)arguments, &options, &context), "init");
-  require(rcl_node_init(&node, "ComponentManager", "", &context, &node_options), "node");
+  start_node(count, arguments, "ComponentManager", &context, &node);
   for (int each = 0; each < 3; each++) {
     services[each] = rcl_get_zero_initialized_service();
     require(rcl_service_init(&services[each], &node, types[each], names[each], &service_options), names[each]);

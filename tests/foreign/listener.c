@@ -4,14 +4,11 @@
 #include "rcl_require.h"
 
 #include <std_msgs/msg/string.h>
-#include <time.h>
 
 int main(int count, char **arguments)
 {
-  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
-  rcl_context_t context = rcl_get_zero_initialized_context();
-  rcl_node_t node = rcl_get_zero_initialized_node();
-  rcl_node_options_t node_options = rcl_node_get_default_options();
+  rcl_context_t context;
+  rcl_node_t node;
   rcl_subscription_t subscription = rcl_get_zero_initialized_subscription();
   rcl_subscription_options_t subscription_options = rcl_subscription_get_default_options();
   rcl_wait_set_t waiting = rcl_get_zero_initialized_wait_set();
@@ -20,9 +17,7 @@ int main(int count, char **arguments)
     perror(arguments[2]);
     return 1;
   }
-  require(rcl_init_options_init(&options, rcl_get_default_allocator()), "options");
-  require(rcl_init(count, (const char *const *)arguments, &options, &context), "init");
-  require(rcl_node_init(&node, "recorder", "", &context, &node_options), "node");
+  start_node(count, arguments, "recorder", &context, &node);
   subscription_options.qos.depth = 5000; /* it may not be given a core for a while */
   require(rcl_subscription_init(&subscription, &node, ROSIDL_GET_MSG_TYPE_SUPPORT(std_msgs, msg, String), arguments[1],
                                 &subscription_options),
@@ -37,9 +32,7 @@ int main(int count, char **arguments)
     if (woken != RCL_RET_TIMEOUT)
       require(woken, "wait");
     while (rcl_take(&subscription, &message, NULL, NULL) == RCL_RET_OK) {
-      struct timespec at;
-      clock_gettime(CLOCK_MONOTONIC, &at);
-      fprintf(file, "%lld %s\n", at.tv_sec * 1000000000ll + at.tv_nsec, message.data.data);
+      fprintf(file, "%lld %s\n", now(), message.data.data);
     }
     rcl_reset_error();
     fflush(file);

@@ -9,29 +9,17 @@
 #include <rosidl_runtime_c/string_functions.h>
 #include <std_msgs/msg/string.h>
 #include <string.h>
-#include <time.h>
-
-static long long now(void)
-{
-  struct timespec at;
-  clock_gettime(CLOCK_MONOTONIC, &at);
-  return at.tv_sec * 1000000000ll + at.tv_nsec;
-}
 
 int main(int count, char **arguments)
 {
-  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
-  rcl_context_t context = rcl_get_zero_initialized_context();
-  rcl_node_t node = rcl_get_zero_initialized_node();
-  rcl_node_options_t node_options = rcl_node_get_default_options();
+  rcl_context_t context;
+  rcl_node_t node;
   rcl_publisher_t publisher = rcl_get_zero_initialized_publisher();
   rcl_publisher_options_t publisher_options = rcl_publisher_get_default_options();
   rcl_service_t service = rcl_get_zero_initialized_service();
   rcl_service_options_t service_options = rcl_service_get_default_options();
   rcl_wait_set_t set = rcl_get_zero_initialized_wait_set();
-  require(rcl_init_options_init(&options, rcl_get_default_allocator()), "options");
-  require(rcl_init(count, (const char *const *)arguments, &options, &context), "init");
-  require(rcl_node_init(&node, "server", "", &context, &node_options), "node");
+  start_node(count, arguments, "server", &context, &node);
   require(rcl_publisher_init(&publisher, &node, ROSIDL_GET_MSG_TYPE_SUPPORT(std_msgs, msg, String), "chatter",
                              &publisher_options),
           "publisher");
@@ -43,8 +31,7 @@ int main(int count, char **arguments)
   if (!calls)
     return 1;
   setvbuf(calls, NULL, _IOLBF, 0);
-  const char *instance = getenv("MIDSTRIDE_INSTANCE"); /* of two in a hand-over, the name is one */
-  const char *name = instance ? instance : rcl_node_get_name(&node);
+  const char *name = instance_of(&node);
   long long period = atoll(arguments[1]), slot = now();
   bool with_info = strcmp(arguments[2], "info") == 0;
   std_msgs__msg__String message;

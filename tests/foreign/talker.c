@@ -7,20 +7,15 @@
 #include <rosidl_runtime_c/string_functions.h>
 #include <std_msgs/msg/string.h>
 #include <string.h>
-#include <time.h>
 #include <unistd.h>
 
 #define MOST 8
 
 int main(int count, char **arguments)
 {
-  rcl_init_options_t options = rcl_get_zero_initialized_init_options();
-  rcl_context_t context = rcl_get_zero_initialized_context();
-  rcl_node_t node = rcl_get_zero_initialized_node();
-  rcl_node_options_t node_options = rcl_node_get_default_options();
-  require(rcl_init_options_init(&options, rcl_get_default_allocator()), "options");
-  require(rcl_init(count, (const char *const *)arguments, &options, &context), "init");
-  require(rcl_node_init(&node, "c_talker", "", &context, &node_options), "node");
+  rcl_context_t context;
+  rcl_node_t node;
+  start_node(count, arguments, "c_talker", &context, &node);
   rcl_publisher_t publishers[MOST];
   rcl_publisher_options_t publisher_options = rcl_publisher_get_default_options();
   publisher_options.qos.depth = 1000; /* a listener may be late */
@@ -35,19 +30,17 @@ int main(int count, char **arguments)
   std_msgs__msg__String message;
   std_msgs__msg__String__init(&message);
   long long period = atoll(arguments[1]);
-  struct timespec slot;
-  clock_gettime(CLOCK_MONOTONIC, &slot);
+  long long slot = now();
   for (long long number = 1;; number++) {
     char text[300];
-    const char *instance = getenv("MIDSTRIDE_INSTANCE"); /* of two in a hand-over, the name is one */
-    snprintf(text, sizeof text, "%s %lld", instance ? instance : rcl_node_get_name(&node), number);
+    snprintf(text, sizeof text, "%s %lld", instance_of(&node), number);
     rosidl_runtime_c__String__assign(&message.data, text);
     for (int topic = 0; topic < topics; topic++)
       require(rcl_publish(&publishers[topic], &message, NULL), "publish");
     while (period == 0)
       pause();
-    long long next = slot.tv_sec * 1000000000ll + slot.tv_nsec + period;
-    slot = (struct timespec){next / 1000000000, next % 1000000000};
-    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &slot, NULL);
+    slot += period;
+    struct timespec at = {slot / 1000000000, slot % 1000000000};
+    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL);
   }
 }
