@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from midstride.errors import StartFailed
 from midstride.model.near_miss import did_you_mean
 
-_NO_PREFIX = "AMENT_PREFIX_PATH is not set; source the setup file of your ROS"
 # The component classes of each package: a line each, the class and its library.
 COMPONENTS = os.path.join("share", "ament_index", "resource_index", "rclcpp_components")
 INDEX = os.path.join("share", "ament_index", "resource_index", "packages")
@@ -28,11 +27,7 @@ def executable(package: str, name: str, environment: Mapping[str, str]) -> str:
     """The path of an executable of ``package``. Raises StartFailed, naming what was searched."""
     prefix = prefix_of(package, environment)
     if prefix is None:
-        searched = prefixes(environment)
-        if not searched:
-            raise StartFailed(f"package {package} cannot be looked up: {_NO_PREFIX}")
-        where = f"there is no {INDEX}/{package} in {' or '.join(searched)}"
-        raise StartFailed(f"package {package} is not installed: {where}")
+        raise _not_found(package, INDEX, environment)
     folder = os.path.join(prefix, "lib", package)
     path = os.path.join(folder, name)
     if os.path.isfile(path) and os.access(path, os.X_OK):
@@ -61,9 +56,16 @@ def component_library(package: str, plugin: str, environment: Mapping[str, str])
         return libraries[plugin]
     if prefix_of(package, environment) is not None:
         raise StartFailed(f"package {package} registers no component classes (there is no {COMPONENTS}/{package})")
+    raise _not_found(package, COMPONENTS, environment)
+
+
+def _not_found(package: str, index: str, environment: Mapping[str, str]) -> StartFailed:
+    """Say that no prefix has ``package`` in its ``index``, or that there is none to look at."""
     searched = prefixes(environment)
-    where = f"there is no {COMPONENTS}/{package} in {' or '.join(searched)}" if searched else _NO_PREFIX
-    raise StartFailed(f"package {package} is not installed: {where}")
+    if not searched:
+        remedy = "AMENT_PREFIX_PATH is not set; source the setup file of your ROS"
+        return StartFailed(f"package {package} cannot be looked up: {remedy}")
+    return StartFailed(f"package {package} is not installed: there is no {index}/{package} in {' or '.join(searched)}")
 
 
 def _executables(folder: str) -> list[str]:

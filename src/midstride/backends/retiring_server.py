@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 from midstride.node.request_admission import RequestAdmission
@@ -73,3 +73,15 @@ class RetiringServer(ABC, Generic[A]):
     @abstractmethod
     def _leave(self) -> None:
         """Leave the graph."""
+
+
+S = TypeVar("S", bound=RetiringServer[Any])
+
+
+def taken_up(servers: Mapping[str, S], name: str, type_: type, answer: Any) -> S | None:
+    """Take up the server that was given up while another instance answered, if it is still in the graph."""
+    server = servers.get(name)
+    if server is None or server.type is not type_:
+        return None
+    server.resume(answer)
+    return server

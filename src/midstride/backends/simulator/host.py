@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from midstride.backends.common import KeptParameters
+from midstride.backends.retiring_server import taken_up
 from midstride.backends.simulator.cooperative_thread import Sleeps
 from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.service_endpoints import (
@@ -132,22 +133,17 @@ class SimulatedHost:
         return MessageInfo(*info)
 
     def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> SimulatedServer:
-        """Take up one that has been given up while another instance answered, and is still in the graph."""
-        if (server := self._servers.get(name)) is not None and server.type is type_:
-            server.resume(answer)
-            return server
-        end, gone = self._end(name, type_), partial(self._servers.pop, name, None)
-        self._servers[name] = SimulatedServer(end, name, answer, self.admission, self._post, gone)
-        return self._servers[name]
+        if (server := taken_up(self._servers, name, type_, answer)) is None:
+            end, gone = self._end(name, type_), partial(self._servers.pop, name, None)
+            server = self._servers[name] = SimulatedServer(end, name, answer, self.admission, self._post, gone)
+        return server
 
     def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> SimulatedActionServer:
-        """Take up one that has been given up while another instance answered, and is still in the graph."""
-        if (server := self._action_servers.get(name)) is not None and server.type is type_:
-            server.resume(answers)
-            return server
-        end, gone = self._end(name, type_), partial(self._action_servers.pop, name, None)
-        self._action_servers[name] = SimulatedActionServer(end, name, answers, self.admission, self._post, gone)
-        return self._action_servers[name]
+        if (server := taken_up(self._action_servers, name, type_, answers)) is None:
+            end, gone = self._end(name, type_), partial(self._action_servers.pop, name, None)
+            server = SimulatedActionServer(end, name, answers, self.admission, self._post, gone)
+            self._action_servers[name] = server
+        return server
 
     def create_client(self, name: str, type_: type) -> SimulatedClient:
         return SimulatedClient(self._end(name, type_))

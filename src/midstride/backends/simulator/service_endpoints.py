@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any, Final
 
 from midstride.backends.retiring_server import RetiringServer
+from midstride.backends.sent_goals import hand_on
 from midstride.backends.simulator.message_copy import copied
 from midstride.backends.simulator.service_network import RequestKind, ServiceEnd, SimulatedRequest
 from midstride.backends.simulator.simulated_future import SimulatedFuture
@@ -117,13 +118,13 @@ class SimulatedGoal:
         self.status = EXECUTING
         self.is_cancel_requested = False
         self.result: Any = None
-        # Those who wait for the result.
+        # Called with the result.
         self.waiting: list[Callable[[Any], object]] = []
         self._server, self._sent = server, sent
 
     @property
     def is_active(self) -> bool:
-        """Whether it has not ended."""
+        """True until it has ended."""
         return self.status == EXECUTING
 
     def publish_feedback(self, feedback: Any) -> None:
@@ -283,19 +284,9 @@ class SimulatedActionClient(SimulatedClient):
         given = self.unsent()
         sent = self._send("goal", SimpleNamespace(goal=copied(request), feedback=feedback))
         self._note(given, sent)
-
-        def done(response: SimulatedFuture) -> None:
-            if given.done():
-                return
-            if (error := response.exception()) is not None:
-                given.set_exception(error)
-                return
-            handle = SimulatedGoalHandle(self, sent.identity, response.result().accepted)
-            if handle.accepted:
-                self._accepted(handle)
-            given.set_result(handle)
-
-        sent.future.add_done_callback(done)
+        hand_on(
+            sent.future, given, lambda each: SimulatedGoalHandle(self, sent.identity, each.accepted), self._accepted
+        )
         return given
 
     def ask(self, kind: RequestKind, goal: str) -> SimulatedFuture:

@@ -29,17 +29,17 @@ async def have_answer(
     ``instead_of`` is the running instance that has answered until now, and has ``drain`` (s) to answer what it has
     taken; None if there is none. Returns what it had not answered then, in words; None if nothing.
     """
-    for attempt in range(1, ATTEMPTS + 1):
+    for _ in range(ATTEMPTS - 1):
+        if instead_of is None:  # nothing has stopped, so nothing waits for another attempt
+            break
         try:
             return await _ask(client, instance, instead_of, drain)
         except (CallTimeout, CommandRefused):
-            if attempt == ATTEMPTS or instead_of is None:
-                raise
             await client.clock.sleep(AGAIN)
             # One that is stopped, or hangs, does not do its part at the next attempt either.
             if any(client.life.responsive(each) is None for each in (instance, instead_of)):
                 raise
-    return None
+    return await _ask(client, instance, instead_of, drain)
 
 
 async def _ask(client: ComponentClient, instance: str, instead_of: str | None, drain: float) -> str | None:

@@ -22,6 +22,7 @@ from rclpy.logging import get_logger
 from rclpy.task import Future
 
 from midstride.backends.common import control_transport, ending_on_signals, on_thread, with_short_pauses
+from midstride.backends.retiring_server import taken_up
 from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import node_parameters, port_endpoints
 from midstride.backends.ros2.component.node_threads import ComponentNodes
@@ -164,9 +165,7 @@ class Ros2Host:
         )
 
     def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> RosServer:
-        """Take up one that has been given up while another instance answered, and is still in the graph."""
-        if (server := self._servers.get(name)) is not None and server.type is type_:
-            server.resume(answer)
+        if (server := taken_up(self._servers, name, type_, answer)) is not None:
             return server
         server = RosServer(
             self.ros_node,
@@ -183,9 +182,7 @@ class Ros2Host:
         return server
 
     def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> RosActionServer:
-        """Take up one that has been given up while another instance answered, and is still in the graph."""
-        if (server := self._action_servers.get(name)) is not None and server.type is type_:
-            server.resume(answers)
+        if (server := taken_up(self._action_servers, name, type_, answers)) is not None:
             return server
         server = self._action_servers[name] = RosActionServer(
             self.ros_node,

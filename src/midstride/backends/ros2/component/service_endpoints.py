@@ -15,6 +15,7 @@ from rclpy.qos import QoSProfile, qos_profile_services_default
 from rclpy.task import Future
 
 from midstride.backends.retiring_server import RetiringServer
+from midstride.backends.sent_goals import hand_on
 from midstride.node.component_host import GoalAnswers
 from midstride.node.request_admission import RequestAdmission
 
@@ -158,18 +159,7 @@ class RosActionClient(_Caller):
 
     def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
         given = self.unsent()
-
-        def done(sent: Any) -> None:
-            if given.done():
-                return
-            if (error := sent.exception()) is not None:
-                given.set_exception(error)
-                return
-            if (handle := sent.result()).accepted:
-                self._accepted(handle)
-            given.set_result(handle)
-
-        self.client.send_goal_async(request, feedback_callback=feedback).add_done_callback(done)
+        hand_on(self.client.send_goal_async(request, feedback_callback=feedback), given, lambda it: it, self._accepted)
         return given
 
     def destroy(self) -> None:

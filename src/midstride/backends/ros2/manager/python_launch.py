@@ -416,7 +416,7 @@ class _Visitor:
             "folder": details["cwd"] and str(details["cwd"]),
             "shell": bool(action.shell),
             "respawn": None,
-            "after": None,
+            "after": self._after_what(),
             "texts": {},
             "stop": dict(self._stop(action)),
         }
@@ -430,15 +430,12 @@ class _Visitor:
         self._labels[id(action)] = label
         for follow in self._waiting.pop(id(action), ()):
             self._follow(label, *follow)
-        if self._after is not None:
-            found["after"] = {"how": self._after["how"], "time": self._after["time"]}
         if action._ExecuteLocal__respawn:
             delay = action._ExecuteLocal__respawn_delay
             found["respawn"] = {"delay": delay or 0.0, "retries": action._ExecuteLocal__respawn_max_retries}
         for option, value in pairwise(words):
-            # Those that launch_ros has written are in a folder that ends with this process.
-            if option == "--params-file" and os.path.dirname(value) == os.environ.get("TMPDIR"):
-                found["texts"][value] = Path(value).read_text(encoding="utf-8")
+            if option == "--params-file":
+                found["texts"] |= _passing_text(value)
         self.processes.append(found)
         self._on_exit(action, label)
         if type(action).__name__ == "ComposableNodeContainer":
@@ -498,13 +495,12 @@ class _Visitor:
         ]
         given = evaluate_parameters(self.context, [*stated, *(description.parameters or [])])
         parameters: list[tuple[str, Any]] = []
-        texts = {}
+        texts: dict[str, str] = {}
         for each in given:
             if isinstance(each, (str, os.PathLike)):
                 path = os.fspath(each)
                 parameters.append(("path", path))
-                if os.path.dirname(path) == os.environ.get("TMPDIR"):  # as of a node's process
-                    texts[path] = Path(path).read_text(encoding="utf-8")
+                texts |= _passing_text(path)
             elif isinstance(each, dict):
                 parameters.append(("values", each))
             else:  # the value of one parameter
@@ -525,8 +521,12 @@ class _Visitor:
             "parameters": parameters,
             "texts": texts,
             "extra": extra,
-            "after": None if self._after is None else {"how": self._after["how"], "time": self._after["time"]},
+            "after": self._after_what(),
         }
+
+    def _after_what(self) -> dict[str, Any] | None:
+        """Return what launch waits for before it starts what comes now; None where it does not wait."""
+        return None if self._after is None else {"how": self._after["how"], "time": self._after["time"]}
 
     def _changes(self, after: Any) -> dict[str, str | None]:
         """The variables that are other than at the beginning; None for one that is not there."""
@@ -544,6 +544,11 @@ class _Visitor:
 def _role(node: Any) -> str:
     """The full name of a node that is started, without the outer slash."""
     return str(node.node_name).strip("/")
+
+
+def _passing_text(path: str) -> dict[str, str]:
+    """Return, by path, the text of a parameter file of launch_ros, whose folder ends with this process."""
+    return {path: Path(path).read_text(encoding="utf-8")} if os.path.dirname(path) == os.environ.get("TMPDIR") else {}
 
 
 def _described(error: BaseException) -> str:
