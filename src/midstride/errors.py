@@ -31,7 +31,7 @@ from __future__ import annotations
 
 
 def internal_error(error: BaseException) -> str:
-    """The message for the user of an exception that nobody expected, with all that it names, such as its file."""
+    """The message for the user of an unexpected exception, with all that it names, such as a file."""
     return f"internal error: {type(error).__name__}: {error}"
 
 

@@ -99,7 +99,7 @@ class SystemCondition(Form, frozen=True, omit_defaults=False, forbid_unknown_fie
 
     @property
     def besides(self) -> str:
-        """What the headline has besides the state and the faults."""
+        """The rest of the headline: rates, and what is not measurable."""
         rates = [f"below its rate: {_some(self.slow)}"] if self.slow else []
         return "; ".join([*rates, *([f"not measurable here: {'; '.join(self.unknown)}"] if self.unknown else [])])
 
@@ -351,7 +351,7 @@ def management_unknown(instance: str, starting: Sequence[str], *, planned: bool)
 
 
 def management_not_seen(instance: str, *, planned: bool) -> Assessment:
-    """What answers for an instance that is removed did not say in time whether a lifecycle manager would notice."""
+    """Say that nothing told in time whether a lifecycle manager would notice the end of an instance."""
     words = (
         f"whether a lifecycle manager deactivates its nodes as {instance} {'ends' if planned else 'ended'}: what "
         f"answers for {instance} {'does' if planned else 'did'} not look at the graph in time"

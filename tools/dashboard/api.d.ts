@@ -502,7 +502,7 @@ declare namespace Api {
     busy?: number | null;
   }
 
-  /** What became of the goals of the ROS actions of a node that was replaced, and of those that its replacement got. As both have counted, from the beginning of the change to its report. */
+  /** The goals of the ROS actions of a node that was replaced, and of its replacement, by what became of them. As both have counted, from the beginning of the change to its report. */
   interface GoalTally {
     old: string;
     new: string;

@@ -237,7 +237,7 @@ class ForeignNode:
         self._all_settings = None not in taken and sum(filter(None, taken)) == len(noted) - self._unreadable
 
     def _set_at(self) -> dict[str, float]:
-        """When a request has set those parameters of the node that have its value still (Unix time, s)."""
+        """By parameter that still has the value of a request: when that was made (Unix time, s)."""
         found = ((name, self.settings[name]) for name in self.declared if name in self.settings)
         return {name: at for name, (at, value) in found if same_value(value, self.parameters.get(name))}
 

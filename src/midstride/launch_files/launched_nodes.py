@@ -75,7 +75,7 @@ class LoadedNode:
 
 @dataclass(slots=True)
 class LaunchedSystem:
-    """What a launch file starts: processes, and the nodes that are ``loaded`` into containers.
+    """The system that a launch file starts: processes, and the nodes that are ``loaded`` into containers.
 
     ``files``: how many launch files were read. A loaded node that gets a process of its own is among the ``nodes``.
     """

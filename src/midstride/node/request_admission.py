@@ -56,7 +56,7 @@ PassedHandler: TypeAlias = Callable[[str, bytes, "Callable[[bytes | None], objec
 
 
 class Turn(Enum):
-    """What an instance does with a request about goals; as ``turn_of`` in foreign/gate/goals.h.
+    """The turn of an instance with a request about goals, by the rule of ``turn_of`` in foreign/gate/goals.h.
 
     ADD: it cancels its own goals, and leaves the list of them for the instance that answers.
     """

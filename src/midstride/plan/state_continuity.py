@@ -54,6 +54,6 @@ def with_time_for_state(plan: Plan, keeping: Collection[str]) -> Plan:
 
 
 def _moves(change: Change, old: str, new: str) -> bool:
-    """Whether state can move between the two at a cut: they are of one kind, and no relay answers for one of them."""
+    """Return whether state can move between the two at a cut: they are of one kind, and neither is behind a relay."""
     gates = [change.component_of(name).gate for name in (old, new)]
     return gates == [None, None] or all(gate is not None and gate not in ("relay", "none") for gate in gates)

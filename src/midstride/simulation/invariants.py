@@ -200,7 +200,7 @@ class Invariants:
                 self._violation(f"{self._stays(ref)} is broken for more than {REFLEX:g} s")
 
     def _lacks_server(self, ref: FunctionalityRef, process: StandIn, now: float) -> bool:
-        """Whether its mode should have been left, since a server is gone that it had."""
+        """Return whether its mode should have been left, since a server is gone that it had."""
         if not self.oracle.assumes_one_of(self._shown[ref.instance], ref.functionality, process.lost_servers()):
             self._serverless.pop(ref, None)
             return False

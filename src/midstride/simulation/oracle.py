@@ -92,7 +92,7 @@ class Oracle:
         return all(inputs[name].rate and name in received for names in needed for name in names)
 
     def assumes_one_of(self, shown: Shown, functionality: str, lost: Collection[str]) -> bool:
-        """Whether an assumption of its mode can be met by none but the inputs in ``lost``."""
+        """Return whether an assumption of its mode can be met by none but the inputs in ``lost``."""
         needed = self._needed(shown, functionality, dict(shown.modes)[functionality])
         return bool(lost) and any(names <= set(lost) for names in needed)
 

@@ -1,4 +1,4 @@
-"""What must hold for every request to a service or ROS action, whatever strikes: checked where it passes.
+"""The invariants of every request to a service or ROS action, whatever strikes: checked where it passes.
 
 Each request is executed at most once, by one instance, while no other one of its role answers, and answered at most
 once. What reaches an instance that answers is executed, unless another one may have done that, and has died. And where
@@ -69,7 +69,7 @@ class RequestInvariants(ServiceObserver):
                 self.platform.time.loop.call_later(HOLD + NOTICED, self._check_executed, request)
 
     def _check_executed(self, request: SimulatedRequest) -> None:
-        """What an instance has received that answers is executed, unless another one may have done that which died."""
+        """Check that an answering instance executes what it has received, unless another may have, which died."""
         for process in () if request.executed or self.torn() else request.received:
             assert isinstance(process, StandIn)
             began = process.answers_since

@@ -308,7 +308,7 @@ class Simulation:
         return handed_over and all(each.fault in OF_THE_MANAGER for each in self._struck)
 
     def _torn(self) -> bool:
-        """Whether an instance may take another one for dead that lives: only what has exited cannot be reached."""
+        """Return whether an instance may take another one for dead that lives: only what has exited is unreachable."""
         return self._has_struck("unreachable")
 
     def _has_struck(self, *faults: str) -> bool:

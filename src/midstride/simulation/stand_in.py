@@ -199,7 +199,7 @@ class StandIn(ThreadlessProcess):
 
     @property
     def answers(self) -> bool:
-        """Whether it runs, and answers requests."""
+        """True while it runs, and answers requests."""
         return not self.dead and self.admission is not None and self.admission.is_open
 
     def lost_servers(self) -> set[str]:

@@ -162,7 +162,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 
 
 class GoalCounts(WireValue, frozen=True, kw_only=True):
-    """What has become of the goals of an instance since its start: of those that it ``accepted``, so many ``ended``.
+    """The goals of an instance since its start: of those that it ``accepted``, so many ``ended``.
 
     So many others ended as they were ``cancelled``. To so many requests it has answered that it does not know the goal
     (``unknown``), which no other instance knew either.

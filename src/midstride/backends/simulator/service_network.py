@@ -1,4 +1,4 @@
-"""Services and ROS actions in the simulated middleware: who has which end, and the requests under way.
+"""Services and ROS actions in the simulated middleware: their ends, and the requests under way.
 
 As on ROS 2, every server of a name that the client has discovered receives every request; of two instances of a role
 one answers (:mod:`midstride.node.request_admission`). A request and its response take the network's latency, in order.
@@ -67,7 +67,7 @@ class ServerEnd(Protocol):
 
 
 class ServiceObserver:
-    """What a simulation may watch; nothing by default."""
+    """The events that a simulation may watch; none by default."""
 
     def on_sent(self, request: SimulatedRequest) -> None:
         """A client has sent it."""

@@ -28,7 +28,7 @@ class SimulatedFuture:
         return False
 
     def result(self) -> Any:
-        """What it was set to; None while it is not done. Raises what it was set to."""
+        """The value it was set to, None until then. Raises the exception it was set to."""
         if self._error is not None:
             raise self._error
         return self._result

@@ -241,7 +241,7 @@ class CommandHandlers:
 
     @property
     def _may_pass_on(self) -> bool:
-        """Whether another instance answers instead, which a client that has called lately may not have discovered."""
+        """True where another instance answers instead, and a client that called lately may not have discovered it."""
         return self._handovers.answering.has_successor and self.host.admission.answered_within(CALLED_WITHIN)
 
     async def _finish_goals(self) -> None:

@@ -105,7 +105,7 @@ class FunctionalityRunner(OutputOwner):
 
     @property
     def awaits(self) -> bool:
-        """Whether an async call is under way that ends before the mode: not one that the mode has begun on entry."""
+        """True while an async call is under way that ends before the mode: not one that the mode has begun on entry."""
         return self.asynchronous and self.driven != "none"
 
     @property

@@ -1,4 +1,4 @@
-"""What became of the goals of ROS actions during a change, as the two instances of each role have counted."""
+"""The tallies of the goals of ROS actions during a change, from the counts of the two instances of each role."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class ParameterTransfer:
         self._found |= {(value.node, value.parameter): value for value in with_times(values, self._set_at)}
 
     def _set_at(self, role: str) -> Mapping[str, float]:
-        """When requests have set the parameters of the instance of ``role`` that is replaced."""
+        """Return when requests set the parameters of the instance of ``role`` that is replaced (Unix time, s)."""
         replaced = (old for old in self.change.replaced if self.change.instance(old).role == role)
         return next((self.reported.set_at(old) for old in replaced), {})
 
@@ -159,7 +159,7 @@ class ParameterTransfer:
         self._note_carried(instance.name)
 
     def _note_carried(self, *instances: str) -> None:
-        """What these instances have now has been carried over."""
+        """Note that the values of these instances, as they are now, have been carried over."""
         self.carried |= {name: self.reported.of(name) for name in instances}
         self.save(self.carried)
 
@@ -246,7 +246,7 @@ class ParameterTransfer:
             await self._compare(name, configuration.instances[str(partner)], late=True)
 
     def set_since(self, instance: str) -> dict[str, ParameterValue | None]:
-        """What has been set on ``instance`` since values were last carried over: None for what was set back."""
+        """Return the values set on ``instance`` since values were last carried over; None for one that was set back."""
         before, now = self.carried.get(instance, _NO_VALUES), self.reported.of(instance)
         changed: dict[str, ParameterValue | None] = {
             name: value for name, value in now.items() if name not in before or not same_value(before[name], value)

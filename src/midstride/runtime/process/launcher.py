@@ -146,7 +146,7 @@ class Launcher:
             del self.goals[name]
 
     def has_ended(self, name: str) -> bool:
-        """Whether a process of an instance has exited, or was ended since the change began."""
+        """Return whether a process of an instance has exited, or was ended since the change began."""
         return name in self.ended_goals or self._life.is_gone(name) or name in self._life.missing
 
     def _forget_process(self, name: str) -> str | None:

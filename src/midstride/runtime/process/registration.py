@@ -101,7 +101,7 @@ def _functionality(
 
 
 def _remedy(output: str, own: Contract, needed: Contract) -> str:
-    """What to write in the code of a mode that states nothing, or no rate, of ``output``."""
+    """Say what to write in the code of a mode that states nothing, or no rate, of ``output``."""
     if own is NOTHING:
         return f"; name it in the mode's outputs=[{output}]"
     if not isinstance(needed, Predicate):

@@ -106,7 +106,7 @@ class StateMove(Report, frozen=True, kw_only=True):
 
 
 class GoalTally(Report, frozen=True, kw_only=True):
-    """What became of the goals of the ROS actions of a node that was replaced, and of those that its replacement got.
+    """The goals of the ROS actions of a node that was replaced, and of its replacement, by what became of them.
 
     As both have counted, from the beginning of the change to its report.
     """

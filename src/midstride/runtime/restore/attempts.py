@@ -26,7 +26,7 @@ class Attempts:
             self.runs_since = None
 
     def lately(self, policy: RespawnPolicy, now: float) -> int:
-        """How many attempts are in the window ``now`` (steady s)."""
+        """Return how many attempts are in the window ``now`` (steady s)."""
         ran = self.ran + (0.0 if self.runs_since is None else now - self.runs_since)
         return sum(ran - at < policy.window for at in self.made)
 

@@ -30,7 +30,7 @@ HALF_DONE: Final = "half_done"
 
 @dataclass(frozen=True, slots=True)
 class HalfDone:
-    """What ends instances of the system of ``client``. ``values``: the parameter values that were set on them."""
+    """Ends half-done instances of the system of ``client``. ``values``: the parameter values that were set on them."""
 
     launcher: Launcher
     client: ComponentClient
@@ -120,7 +120,7 @@ def _outputs(state: ComponentState, stays: ComponentState | None) -> Iterator[ve
 
 
 def _unknown(instance: Instance, state: ComponentState, stays: ComponentState | None) -> Iterator[verdicts.Assessment]:
-    """What is not known of the values that were set on the instance, and of the state that it has kept."""
+    """Say what is unknown of the values that were set on the instance, and of the state that it has kept."""
     if (words := unread_parameters(instance, state)) is not None:
         yield verdicts.values_unknown(instance.name, words)
     if state.keeps_state:

@@ -84,7 +84,7 @@ class ValuesOfEnded:
             await self.transfer.leaving(self.ended.name, Configuration(instances=both))
 
     async def lost(self, last: ComponentState) -> dict[str, ParameterValue]:
-        """What was set on it, by its ``last`` report, and is neither known to ``stays`` nor among :meth:`fates`."""
+        """Return the values of its ``last`` report that ``stays`` does not have, and :meth:`fates` does not name."""
         has: dict[str, ParameterValue] = {}
         with suppress(MidstrideError):
             stays = await self.transfer.client.peek(self.stays.name)
@@ -102,5 +102,5 @@ class ValuesOfEnded:
         return self.transfer.report(done=True)
 
     def fates(self) -> list[str]:
-        """What has become of each value that was carried over, or could not be, in words."""
+        """Say what has become of each value that was carried over, or could not be."""
         return [each.words for each in self._found]

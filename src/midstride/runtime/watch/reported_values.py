@@ -45,7 +45,7 @@ class ReportedValues:
         return self._unknown.get(instance, {})
 
     def set_at(self, instance: str) -> Mapping[str, float]:
-        """When a request has set the parameters of an instance (Unix time, s), where that is known."""
+        """Return, by parameter of an instance, when a request has set it (Unix time, s), where that is known."""
         return self._set_at.get(instance, {})
 
     def unknown_by_role(self, configuration: Configuration) -> dict[str, Mapping[str, Origin]]:

@@ -22,7 +22,7 @@ _SUFFIX: Final = "_container"
 
 
 def container_name(launch: Launch) -> str:
-    """The full name of the node of the container of an instance: unlike that of its own node, no other has it."""
+    """The full name of the node of an instance's container, which no other has; two may have that of its own node."""
     return f"{full_name(launch.instance, launch.namespace)}{_SUFFIX}"
 
 
@@ -64,7 +64,7 @@ def _text(value: Any) -> str:
 
 
 def _in_yaml(text: str) -> object:
-    """What ``text`` is in YAML; None where it is none."""
+    """Return the value that ``text`` is in YAML; None where it is no YAML."""
     import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
 
     try:

@@ -57,7 +57,7 @@ def described(pid: int) -> str:
 
 
 def host_of(graph: Graph) -> bytes | None:
-    """How the middleware names this computer, None where it does not."""
+    """Return the name of this computer in the middleware; None where it has none."""
     return _host_in(graph.processes(), graph)
 
 
