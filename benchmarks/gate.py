@@ -22,7 +22,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT))
 
 from midstride.foreign import build  # noqa: E402
-from midstride.foreign.page import OPEN, OUTPUT, Page, PortFlag  # noqa: E402
+from midstride.foreign.page import Page  # noqa: E402
+from midstride.foreign.page_layout import OPEN, OUTPUT, PortFlag  # noqa: E402
 from tests.native import LISTENER, compiled, environment_of_compiled  # noqa: E402
 
 SOURCES = ROOT / "tests" / "foreign"

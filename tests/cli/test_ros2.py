@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from midstride.codec.specification_form import encode_specification
-from midstride.foreign.page import PAGE, VERSION, PageLayout
+from midstride.foreign.page import PAGE
+from midstride.foreign.page_layout import VERSION, PageLayout
 from tests.acceptance.foreign_support import declared_talker, programs_of_the_page
 from tests.acceptance.support import PERIOD, Recorder, ended, swap_specification
 from tests.acceptance.test_fencing import WAIT, hanging_specification

@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from midstride.codec.component_form import NamedComponentForm
-from midstride.foreign.page import OPEN, OUTPUT, Page, PagePort, PortFlag
+from midstride.foreign.page import Page
+from midstride.foreign.page_layout import OPEN, OUTPUT, PagePort, PortFlag
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonWord

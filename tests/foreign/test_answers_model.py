@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from midstride.foreign.page import PortFlag
+from midstride.foreign.page_layout import PortFlag
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 from tests.foreign.test_baton_model import ASK, NEW, OLD, PASS, SKIP, Explorer, Writer
 from tests.native import baton_steps

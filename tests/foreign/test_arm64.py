@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from midstride.foreign import build
-from midstride.foreign.page import OPEN, PortFlag
+from midstride.foreign.page_layout import OPEN, PortFlag
 from midstride.node.handover.baton import BatonStep
 from tests.foreign.conftest import fake_programs
 from tests.foreign.lab import Lab, until

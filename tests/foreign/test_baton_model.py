@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from midstride.foreign.page import PortFlag
+from midstride.foreign.page_layout import PortFlag
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 from tests.native import baton_steps
 

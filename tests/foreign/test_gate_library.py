@@ -19,13 +19,12 @@ import pytest
 from midstride.errors import BackendError, StartFailed
 from midstride.foreign import build
 from midstride.foreign.gates import share_baton
-from midstride.foreign.page import (
-    JOINED_WITHIN,
+from midstride.foreign.page import JOINED_WITHIN, Page
+from midstride.foreign.page_layout import (
     NODES,
     OPEN,
     OUTPUT,
     VERSION,
-    Page,
     PageBaton,
     PageLayout,
     PageNode,

@@ -14,7 +14,8 @@ from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gates import Gates
 from midstride.foreign.node import ForeignNode
-from midstride.foreign.page import SERVER, GoalState, Page
+from midstride.foreign.page import Page
+from midstride.foreign.page_layout import SERVER, GoalState
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
 from midstride.model.component import ComponentSpec, StopTimes

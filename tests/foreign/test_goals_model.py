@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from midstride.foreign.page import GoalState, RequestsStep
+from midstride.foreign.page_layout import GoalState, RequestsStep
 from tests.native import goal_steps
 
 OLD, NEW = 1, 2

@@ -17,19 +17,17 @@ import pytest
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.errors import BackendError
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import (
+from midstride.foreign.page import PAGE, KnownSetting, Page
+from midstride.foreign.page_layout import (
     CLOSED,
     INPUT,
     MAGIC,
     NAMES_ONE,
     OPEN,
     OUTPUT,
-    PAGE,
     ROOM,
     SERVER,
     VERSION,
-    KnownSetting,
-    Page,
     PageLayout,
     PagePort,
     PortFlag,

@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import GOALS, KEPT_RESULTS, NODES, GoalState, Page
+from midstride.foreign.page import KEPT_RESULTS, Page
+from midstride.foreign.page_layout import GOALS, NODES, GoalState
 from midstride.model.component import ComponentSpec
 from tests.backends.ros2_support import Bare, run, without_midstride
 

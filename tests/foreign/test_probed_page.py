@@ -15,7 +15,7 @@ from midstride.backends.ros2.manager.probed_page import probing
 from midstride.capture.probe import ProbedPort
 from midstride.errors import BackendError
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import INPUT, OPEN, OUTPUT, PagePort, PortFlag
+from midstride.foreign.page_layout import INPUT, OPEN, OUTPUT, PagePort, PortFlag
 from midstride.model.component import ComponentSpec
 from tests.foreign.lab import MS, Lab, until
 

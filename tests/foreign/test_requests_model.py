@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from midstride.foreign.page import RequestsStep
+from midstride.foreign.page_layout import RequestsStep
 from tests.native import requests_steps
 
 OLD, NEW = 1, 2

@@ -14,7 +14,8 @@ from midstride.codec.component_form import NamedComponentForm
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
 from midstride.foreign.node import ForeignNode, of_topics
-from midstride.foreign.page import LATEST, SEND_GOAL, SERVER, Page, PagePort
+from midstride.foreign.page import SEND_GOAL, Page
+from midstride.foreign.page_layout import LATEST, SERVER, PagePort
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.response_watch import STOPPED, ResponseWatch

@@ -15,7 +15,8 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.foreign.gates import share_baton
-from midstride.foreign.page import OPEN, OUTPUT, Page
+from midstride.foreign.page import Page
+from midstride.foreign.page_layout import OPEN, OUTPUT
 from midstride.node.handover.baton import BatonState, BatonStep, SharedSlot
 from midstride.wire.replies import SharedSlotPlace
 from tests.conformance import puppets

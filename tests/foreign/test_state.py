@@ -13,7 +13,7 @@ from midstride.errors import CommandRefused
 from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import PortFlag
+from midstride.foreign.page_layout import PortFlag
 from midstride.foreign.record import ForeignRecord
 from midstride.model.action import Handover
 from midstride.node.handover.baton import BatonStep

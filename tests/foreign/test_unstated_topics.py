@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from midstride.foreign.gates import PATIENCE, Gates
-from midstride.foreign.page import INPUT, OPEN, OUTPUT, ROOM, PagePort
+from midstride.foreign.page_layout import INPUT, OPEN, OUTPUT, ROOM, PagePort
 from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonStep
 from tests.foreign.lab import MS, Lab, until, variables

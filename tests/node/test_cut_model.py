@@ -18,7 +18,7 @@ from typing import Any, TypeAlias, cast
 import pytest
 
 from midstride.errors import CallTimeout, CommandRefused, Unreachable
-from midstride.foreign.page import PortFlag
+from midstride.foreign.page_layout import PortFlag
 from midstride.node.component_host import Host
 from midstride.node.handover import cut_protocol
 from midstride.node.handover.arbiter import Arbiter, ClaimArbiter

@@ -19,7 +19,8 @@ from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_state import LOOK, PUBLISHING, MovingSides, longest_wait
 from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
-from midstride.foreign.page import GOALS, OPEN, OUTPUT, GoalState, KnownGoal
+from midstride.foreign.page import KnownGoal
+from midstride.foreign.page_layout import GOALS, OPEN, OUTPUT, GoalState
 from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.model.component import CANCELLING
 from midstride.node.control.attachments import READY_AFTER, not_matched

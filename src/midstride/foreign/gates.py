@@ -9,21 +9,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride.errors import BackendError
-from midstride.foreign.page import (
-    CLOSED,
-    GET_RESULT,
-    INPUT,
-    LISTS,
-    NAMES_ONE,
-    OPEN,
-    OUTPUT,
-    GoalState,
-    KnownGoal,
-    KnownSetting,
-    Page,
-    PagePort,
-    PortFlag,
-)
+from midstride.foreign.page import GET_RESULT, KnownGoal, KnownSetting, Page
+from midstride.foreign.page_layout import CLOSED, INPUT, LISTS, NAMES_ONE, OPEN, OUTPUT, GoalState, PagePort, PortFlag
 from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 

@@ -15,7 +15,8 @@ from msgspec.structs import replace
 
 from midstride.errors import BackendError, CommandRefused
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import SEND_GOAL, PagePort
+from midstride.foreign.page import SEND_GOAL
+from midstride.foreign.page_layout import PagePort
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.response_watch import ResponseWatch

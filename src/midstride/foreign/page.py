@@ -10,34 +10,38 @@ import os
 import struct
 import time
 from collections.abc import Iterator, Sequence
-from ctypes import c_char, c_int, c_int64, c_uint8, c_uint32, c_uint64, c_void_p
-from enum import IntEnum, IntFlag
+from ctypes import c_int, c_int64, c_uint32, c_uint64, c_void_p
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from midstride.errors import BackendError
+from midstride.foreign.page_layout import (
+    BATONS,
+    HEAD_SIZE,
+    IN_USE,
+    INPUT,
+    MAGIC,
+    MOST_PORTS,
+    NAME,
+    NODE,
+    NODES,
+    OPEN,
+    OUTPUT,
+    PART_SIZES,
+    REQUESTS_OFFSET,
+    ROOM,
+    SERVER,
+    VERSION,
+    GoalState,
+    PageBaton,
+    PageLayout,
+    PagePort,
+    PageRequests,
+    RequestsStep,
+    version_of,
+)
 from midstride.node.handover.baton import BatonStep, BatonWord
 from midstride.wire.state import GoalCounts
-
-MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 10
-NODES: Final = 512
-BATONS: Final = 1024
-# How many ports a system may have in all, and how many the file has room for at first.
-MOST_PORTS: Final = 65536
-ROOM: Final = 64
-NAME: Final = 256
-# Of the identity of an endpoint in the graph.
-MARK: Final = 16
-# How many clients of its services are known for a role at once.
-CLIENTS: Final = 512
-# How many goals of its ROS actions, and requests to cancel many of them that are under way.
-GOALS: Final = 256
-ADDED: Final = 4
-# Of how many pairs of an output and a writer of what it answers is the last answer known for a role.
-ANSWERED: Final = 256
-# Of how many requests that a server has answered it is known how long each took.
-LATEST: Final = 8
 
 # What follows the name of a ROS action in those of its services which take goals, and respond with their results.
 SEND_GOAL: Final = "/_action/send_goal"
@@ -53,149 +57,8 @@ _SETTING: Final = struct.Struct("<qQ")
 GATES_FOLDER: Final = "gates"
 PAGE: Final = "page"
 
-# Of a port. The gate is in what publishes or receives; the library adds a port for each server. NODE: it is none, and
-# names a ROS node of the process.
-UNUSED, OUTPUT, INPUT, SERVER, CLIENT, NODE = range(6)
-CLOSED, OPEN = range(2)
-# Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate. NAMES_ONE: a
-# `__node:=` for all nodes of the process names the first of them alone.
-IN_USE, LISTS, NAMES_ONE = 1, 2, 4
-
 # A node that no process has joined as for so long (s) may be given to another: its manager had been killed meanwhile.
 JOINED_WITHIN: Final = 60
-
-
-class PortFlag(IntFlag):
-    """RATED: its writes are slots. OFFERS: the baton is offered after one. TIMED: no port that shares it is rated.
-
-    KEEPS: of what is written behind the gate, the last message is kept, and published when the gate lets it pass; of a
-    latched publisher, as many as its depth.
-    SHUT: an input that a probe closes, as long as the lease of the page lasts.
-    ANSWERS: of what answers a message, more is kept, in case it is to be handed over between two inputs; with TIMED, it
-    is (``answers.h``).
-    """
-
-    RATED = 1
-    OFFERS = 2
-    TIMED = 4
-    KEEPS = 8
-    SHUT = 16
-    ANSWERS = 32
-
-
-class PagePort(ctypes.Structure):
-    _fields_ = [
-        ("kind", c_uint32),
-        ("flags", c_uint32),
-        ("gate", c_uint32),
-        ("baton", c_uint32),
-        ("passed", c_uint64),
-        ("gated", c_uint64),
-        ("last", c_int64),
-        ("tried", c_int64),
-        ("endpoints", c_uint32),
-        ("matched", c_uint32),
-        ("kept", c_uint32),
-        ("half", c_uint32),
-        ("node", c_uint32),
-        ("number", c_uint32),
-        ("waiting", c_int64),
-        ("busy", c_int64),
-        ("answered", c_uint32),
-        ("took", c_uint32 * LATEST),
-        ("in_step", c_uint32),
-        ("answers", c_uint64),
-        ("topic", c_char * NAME),
-    ]
-
-
-class PageNode(ctypes.Structure):
-    _fields_ = [
-        ("pid", c_uint32),
-        ("bell", c_uint32),
-        ("beat", c_uint32),
-        ("used", c_uint32),
-        ("process", c_uint32),
-        ("unlisted", c_uint32),
-        ("requests", c_uint32),
-        ("unanswered", c_uint32),
-        ("answered", c_int64),
-        ("unstated", c_uint32),
-        ("asked", c_uint32),
-        ("marked", c_uint32),
-        ("mark", c_uint8 * MARK),
-        ("cancels", c_uint32),
-        ("beyond", c_uint32),
-        ("goals", c_uint32 * 4),
-        ("spare", c_uint32),
-        ("instance", c_char * NAME),
-        ("name", c_char * NAME),
-    ]
-
-
-class PageBaton(ctypes.Structure):
-    _fields_ = [
-        ("word", c_uint64),
-        ("offered", c_int64),
-        ("patience", c_int64),
-        ("collisions", c_uint64),
-        ("padding", c_uint64 * 4),
-    ]
-
-
-class PageClient(ctypes.Structure):
-    _fields_ = [
-        ("id", c_uint64),
-        ("word", c_uint64),
-        ("seen", c_uint64),
-        ("last", c_int64),
-    ]
-
-
-class PageGoal(ctypes.Structure):
-    _fields_ = [
-        ("word", c_uint64),
-        ("id", c_uint64 * 2),
-        ("at", c_int64),
-        ("port", c_uint32),
-        ("spare", c_uint32),
-    ]
-
-
-class PageAdded(ctypes.Structure):
-    """The goals that a node has cancelled for a request which another one answers."""
-
-    _fields_ = [
-        ("word", c_uint64),
-        ("client", c_uint64),
-        ("number", c_int64),
-        ("count", c_uint32),
-        ("spare", c_uint32),
-        ("goals", c_uint8 * 24 * GOALS),
-    ]
-
-
-class PageAnswered(ctypes.Structure):
-    """Of an output of a role, and a writer of what it answers: the last answer."""
-
-    _fields_ = [
-        ("id", c_uint64),
-        ("number", c_uint64),
-        ("at", c_int64),
-        ("by", c_uint32),
-        ("spare", c_uint32),
-    ]
-
-
-class GoalState(IntEnum):
-    """The states of a goal of a ROS action; ``goals.h`` has the steps."""
-
-    NO_GOAL = 0
-    RESERVED = 1
-    ASKED = 2
-    ACCEPTED = 3
-    ENDED = 4
-    FETCHED = 5
 
 
 class KnownGoal(NamedTuple):
@@ -212,52 +75,6 @@ class KnownSetting(NamedTuple):
     at: float
     service: str
     request: bytes
-
-
-class PageRequests(ctypes.Structure):
-    """The requests to the services of a role, and the messages that it answers; behind the place of the last port."""
-
-    _fields_ = [
-        ("word", c_uint64),
-        ("until", c_int64),
-        ("paused", c_int64),
-        ("shared", c_uint32),
-        ("spare", c_uint32 * 9),
-        ("clients", PageClient * CLIENTS),
-        ("goals", PageGoal * GOALS),
-        ("added", PageAdded * ADDED),
-        ("answered", PageAnswered * ANSWERED),
-    ]
-
-
-class RequestsStep(IntEnum):
-    """GIVE: a node is to answer. FORGET: it has ended."""
-
-    GIVE = 0
-    FORGET = 1
-
-
-class PageLayout(ctypes.Structure):
-    """The part of the page before the ports; ``room``: for how many of them the file has room."""
-
-    _fields_ = [
-        ("magic", c_uint64),
-        ("version", c_uint32),
-        ("size", c_uint32),
-        ("node_size", c_uint32),
-        ("port_size", c_uint32),
-        ("lease", c_int64),
-        ("room", c_uint32),
-        ("spare", c_uint32 * 7),
-        ("batons", PageBaton * BATONS),
-        ("nodes", PageNode * NODES),
-    ]
-
-
-_HEAD: Final = PageLayout.batons.offset
-# Where the requests are, from the start of the file.
-_REQUESTS: Final = ctypes.sizeof(PageLayout) + MOST_PORTS * ctypes.sizeof(PagePort)
-_SIZES: Final = (ctypes.sizeof(PageLayout), ctypes.sizeof(PageNode), ctypes.sizeof(PagePort))
 
 
 def load_library(path: Path) -> Any:
@@ -288,14 +105,14 @@ class Page:
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
             if os.fstat(self._file).st_size == 0:
                 self._reserve(ctypes.sizeof(PageLayout) + ROOM * ctypes.sizeof(PagePort))
-                fixed, node, port = _SIZES
+                fixed, node, port = PART_SIZES
                 head = PageLayout(MAGIC, VERSION, fixed, node, port, room=ROOM)
-                os.pwrite(self._file, bytes(head)[:_HEAD], 0)
+                os.pwrite(self._file, bytes(head)[:HEAD_SIZE], 0)
             self._address = self._library.midstride_map(self._file)
         except OSError as error:
             raise BackendError(f"the page of the gates, {path}, cannot be used: {error.strerror or error}") from None
         if not self._address:
-            layout = _version_of(self._file)
+            layout = version_of(self._file)
             has = (
                 "is no page of Midstride" if layout is None else f"has layout {layout}, and this version uses {VERSION}"
             )
@@ -305,7 +122,7 @@ class Page:
             )
         self.layout = PageLayout.from_address(self._address)
         self._ports = (PagePort * MOST_PORTS).from_address(self._address + ctypes.sizeof(PageLayout))
-        self._requests = (PageRequests * NODES).from_address(self._address + _REQUESTS)
+        self._requests = (PageRequests * NODES).from_address(self._address + REQUESTS_OFFSET)
 
     def _reserve(self, size: int) -> None:
         """Now: a process that writes where the disk has no space left by then is killed (SIGBUS). Raises OSError."""
@@ -426,7 +243,7 @@ class Page:
         number = next(number for number in range(1, NODES + 1) if number not in used)
         size = ctypes.sizeof(PageRequests)
         try:
-            os.posix_fallocate(self._file, _REQUESTS + (number - 1) * size, size)
+            os.posix_fallocate(self._file, REQUESTS_OFFSET + (number - 1) * size, size)
         except OSError as error:
             raise BackendError(f"the page of the gates, {self.path}, cannot grow: {error.strerror}") from None
         ctypes.memset(ctypes.addressof(self._requests[number - 1]), 0, size)
@@ -652,9 +469,3 @@ class Page:
 def kept_results(page: Path) -> list[Path]:
     """The files with the results of goals that are kept beside the page, the file ``page``."""
     return list(page.parent.glob(f"{page.name}.result.*"))
-
-
-def _version_of(file: int) -> int | None:
-    """The layout of a page; None where the file is none."""
-    head = PageLayout.from_buffer_copy(os.pread(file, _HEAD, 0).ljust(ctypes.sizeof(PageLayout), b"\0"))
-    return int(head.version) if head.magic == MAGIC else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from midstride.foreign.page import LATEST, PagePort
+from midstride.foreign.page_layout import LATEST, PagePort
 from midstride.node.control.shortfall import LONG_FLOOR, tolerated_periods
 from midstride.wire.state import MeasuredResponses
 

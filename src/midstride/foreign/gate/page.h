@@ -1,6 +1,6 @@
 /* The page of shared memory between the manager and the nodes that it gates.
  *
- * One file for each system. The manager creates it, and fills in nodes and ports; each process maps it. page.py has the
+ * One file for each system. The manager creates it, and fills in nodes and ports; each process maps it. page_layout.py has the
  * same layout; midstride_layout() lets a test compare the two. Every field that both sides write is atomic.
  *
  * The header, the batons and the nodes have a fixed place. Behind them are the ports, in no order: each says which node has

@@ -18,7 +18,8 @@ from typing import Final
 from midstride.capture.probe import Count, ProbedPort
 from midstride.errors import BackendError
 from midstride.foreign import build
-from midstride.foreign.page import OUTPUT, PAGE, Page, PagePort, PortFlag
+from midstride.foreign.page import PAGE, Page
+from midstride.foreign.page_layout import OUTPUT, PagePort, PortFlag
 from midstride.foreign.record import ForeignRecord
 
 LEASE: Final = 2.0

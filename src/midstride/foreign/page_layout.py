@@ -1,0 +1,225 @@
+"""The layout of the page of shared memory in which gates and batons are, as ``gate/page.h`` has it.
+
+A test compares the two (``tests/foreign/test_gate_library.py``). :mod:`midstride.foreign.page` reads and writes it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from ctypes import c_char, c_int64, c_uint8, c_uint32, c_uint64
+from enum import IntEnum, IntFlag
+from typing import Final
+
+MAGIC: Final = 0x4D4944535452444E
+VERSION: Final = 10
+NODES: Final = 512
+BATONS: Final = 1024
+# How many ports a system may have in all, and how many the file has room for at first.
+MOST_PORTS: Final = 65536
+ROOM: Final = 64
+NAME: Final = 256
+# Of the identity of an endpoint in the graph.
+MARK: Final = 16
+# How many clients of its services are known for a role at once.
+CLIENTS: Final = 512
+# How many goals of its ROS actions, and requests to cancel many of them that are under way.
+GOALS: Final = 256
+ADDED: Final = 4
+# Of how many pairs of an output and a writer of what it answers is the last answer known for a role.
+ANSWERED: Final = 256
+# Of how many requests that a server has answered it is known how long each took.
+LATEST: Final = 8
+
+# Of a port. The gate is in what publishes or receives; the library adds a port for each server. NODE: it is none, and
+# names a ROS node of the process.
+UNUSED, OUTPUT, INPUT, SERVER, CLIENT, NODE = range(6)
+CLOSED, OPEN = range(2)
+# Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate. NAMES_ONE: a
+# `__node:=` for all nodes of the process names the first of them alone.
+IN_USE, LISTS, NAMES_ONE = 1, 2, 4
+
+
+class PortFlag(IntFlag):
+    """RATED: its writes are slots. OFFERS: the baton is offered after one. TIMED: no port that shares it is rated.
+
+    KEEPS: of what is written behind the gate, the last message is kept, and published when the gate lets it pass; of a
+    latched publisher, as many as its depth.
+    SHUT: an input that a probe closes, as long as the lease of the page lasts.
+    ANSWERS: of what answers a message, more is kept, in case it is to be handed over between two inputs; with TIMED, it
+    is (``answers.h``).
+    """
+
+    RATED = 1
+    OFFERS = 2
+    TIMED = 4
+    KEEPS = 8
+    SHUT = 16
+    ANSWERS = 32
+
+
+class PagePort(ctypes.Structure):
+    _fields_ = [
+        ("kind", c_uint32),
+        ("flags", c_uint32),
+        ("gate", c_uint32),
+        ("baton", c_uint32),
+        ("passed", c_uint64),
+        ("gated", c_uint64),
+        ("last", c_int64),
+        ("tried", c_int64),
+        ("endpoints", c_uint32),
+        ("matched", c_uint32),
+        ("kept", c_uint32),
+        ("half", c_uint32),
+        ("node", c_uint32),
+        ("number", c_uint32),
+        ("waiting", c_int64),
+        ("busy", c_int64),
+        ("answered", c_uint32),
+        ("took", c_uint32 * LATEST),
+        ("in_step", c_uint32),
+        ("answers", c_uint64),
+        ("topic", c_char * NAME),
+    ]
+
+
+class PageNode(ctypes.Structure):
+    _fields_ = [
+        ("pid", c_uint32),
+        ("bell", c_uint32),
+        ("beat", c_uint32),
+        ("used", c_uint32),
+        ("process", c_uint32),
+        ("unlisted", c_uint32),
+        ("requests", c_uint32),
+        ("unanswered", c_uint32),
+        ("answered", c_int64),
+        ("unstated", c_uint32),
+        ("asked", c_uint32),
+        ("marked", c_uint32),
+        ("mark", c_uint8 * MARK),
+        ("cancels", c_uint32),
+        ("beyond", c_uint32),
+        ("goals", c_uint32 * 4),
+        ("spare", c_uint32),
+        ("instance", c_char * NAME),
+        ("name", c_char * NAME),
+    ]
+
+
+class PageBaton(ctypes.Structure):
+    _fields_ = [
+        ("word", c_uint64),
+        ("offered", c_int64),
+        ("patience", c_int64),
+        ("collisions", c_uint64),
+        ("padding", c_uint64 * 4),
+    ]
+
+
+class PageClient(ctypes.Structure):
+    _fields_ = [
+        ("id", c_uint64),
+        ("word", c_uint64),
+        ("seen", c_uint64),
+        ("last", c_int64),
+    ]
+
+
+class PageGoal(ctypes.Structure):
+    _fields_ = [
+        ("word", c_uint64),
+        ("id", c_uint64 * 2),
+        ("at", c_int64),
+        ("port", c_uint32),
+        ("spare", c_uint32),
+    ]
+
+
+class PageAdded(ctypes.Structure):
+    """The goals that a node has cancelled for a request which another one answers."""
+
+    _fields_ = [
+        ("word", c_uint64),
+        ("client", c_uint64),
+        ("number", c_int64),
+        ("count", c_uint32),
+        ("spare", c_uint32),
+        ("goals", c_uint8 * 24 * GOALS),
+    ]
+
+
+class PageAnswered(ctypes.Structure):
+    """Of an output of a role, and a writer of what it answers: the last answer."""
+
+    _fields_ = [
+        ("id", c_uint64),
+        ("number", c_uint64),
+        ("at", c_int64),
+        ("by", c_uint32),
+        ("spare", c_uint32),
+    ]
+
+
+class GoalState(IntEnum):
+    """The states of a goal of a ROS action; ``goals.h`` has the steps."""
+
+    NO_GOAL = 0
+    RESERVED = 1
+    ASKED = 2
+    ACCEPTED = 3
+    ENDED = 4
+    FETCHED = 5
+
+
+class PageRequests(ctypes.Structure):
+    """The requests to the services of a role, and the messages that it answers; behind the place of the last port."""
+
+    _fields_ = [
+        ("word", c_uint64),
+        ("until", c_int64),
+        ("paused", c_int64),
+        ("shared", c_uint32),
+        ("spare", c_uint32 * 9),
+        ("clients", PageClient * CLIENTS),
+        ("goals", PageGoal * GOALS),
+        ("added", PageAdded * ADDED),
+        ("answered", PageAnswered * ANSWERED),
+    ]
+
+
+class RequestsStep(IntEnum):
+    """GIVE: a node is to answer. FORGET: it has ended."""
+
+    GIVE = 0
+    FORGET = 1
+
+
+class PageLayout(ctypes.Structure):
+    """The part of the page before the ports; ``room``: for how many of them the file has room."""
+
+    _fields_ = [
+        ("magic", c_uint64),
+        ("version", c_uint32),
+        ("size", c_uint32),
+        ("node_size", c_uint32),
+        ("port_size", c_uint32),
+        ("lease", c_int64),
+        ("room", c_uint32),
+        ("spare", c_uint32 * 7),
+        ("batons", PageBaton * BATONS),
+        ("nodes", PageNode * NODES),
+    ]
+
+
+HEAD_SIZE: Final = PageLayout.batons.offset
+# Where the requests are, from the start of the file.
+REQUESTS_OFFSET: Final = ctypes.sizeof(PageLayout) + MOST_PORTS * ctypes.sizeof(PagePort)
+PART_SIZES: Final = (ctypes.sizeof(PageLayout), ctypes.sizeof(PageNode), ctypes.sizeof(PagePort))
+
+
+def version_of(file: int) -> int | None:
+    """The layout of a page; None where the file is none."""
+    head = PageLayout.from_buffer_copy(os.pread(file, HEAD_SIZE, 0).ljust(ctypes.sizeof(PageLayout), b"\0"))
+    return int(head.version) if head.magic == MAGIC else None
