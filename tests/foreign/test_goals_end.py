@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from midstride.codec.component_form import NamedComponentForm
-from midstride.foreign import gated_outputs
+from midstride.foreign import ending_goals, gated_outputs
 from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gates import Gates
@@ -73,7 +73,7 @@ class Ending:
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing here needs time to be cancelled, or to be fetched."""
-    monkeypatch.setattr(gated_outputs, "CANCELLING", 0.02)
+    monkeypatch.setattr(ending_goals, "CANCELLING", 0.02)
     monkeypatch.setattr(gated_outputs, "LINGER", 0.0)
 
 

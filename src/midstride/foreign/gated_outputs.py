@@ -7,22 +7,20 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
 from msgspec import structs
 
-from midstride.errors import BackendError, CommandRefused
+from midstride.errors import CommandRefused
+from midstride.foreign.ending_goals import EndingGoals
 from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_state import LOOK, PUBLISHING, MovingSides, longest_wait
 from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
-from midstride.foreign.page import KnownGoal
-from midstride.foreign.page_layout import GOALS, OPEN, OUTPUT, GoalState
+from midstride.foreign.page_layout import OPEN, OUTPUT
 from midstride.foreign.ungated_outputs import UngatedOutputs
-from midstride.model.component import CANCELLING
 from midstride.node.control.attachments import READY_AFTER, not_matched
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.handover.baton import BatonStep
@@ -33,9 +31,6 @@ HANGS_PERIODS: Final = 10
 HANGS: Final = 1.0
 # How long a node may take until it shows the clients of the one that answers, or its readers (s).
 PEERS_KNOWN: Final = 2.0
-# A process whose helper thread has not looked for so long is stopped (s): its goals do not go on.
-STOPPED: Final = 3.0
-UNENDED: Final = (GoalState.RESERVED, GoalState.ASKED, GoalState.ACCEPTED)
 # How long a node that has answered stays: a client that is held up learns that it has left before it reads (s).
 LINGER: Final = 0.5
 
@@ -221,83 +216,13 @@ class GatedOutputs(UngatedOutputs):
         """Before a node is ended whose successor answers: its goals end, and what it has taken is answered."""
         if not self._gates.succeeded:
             return
-        found = await self._goals_end()
+        found = await EndingGoals(self._node, self._gates, self._hangs).end()
         drain = self._node.component.stop_times.drain
         await self._node.comes_true(lambda: self._gates.answered_all(LINGER), drain + LINGER)
         if left := int(self._gates.page.layout.nodes[self._gates.index].unanswered):
             what = "1 request that it had taken was" if left == 1 else f"{left} requests that it had taken were"
             found.append(f"{what} not answered within the {drain:g} s of `drain`")
         self._node.unfinished = "; ".join(found) or None
-
-    async def _goals_end(self) -> list[str]:
-        """Wait until each goal has ended, and cancel the rest; results that no client fetches are kept.
-
-        What is not known to have ended, or is lost, in words. A node that hangs is not waited for.
-        """
-        gates, node, begun = self._gates, self._node, time.monotonic()
-        looked, since = gates.page.beat(gates.index), begun
-        if node.record.draining_since is None:
-            node.change_record(draining_since=begun)
-        waited = begun - (node.record.draining_since or begun)  # by a manager that was killed
-
-        def ended() -> bool:
-            return not gates.goals(*UNENDED) and not gates.goals_beyond
-
-        def over() -> bool:
-            nonlocal looked, since
-            if (beat := gates.page.beat(gates.index)) != looked:
-                looked, since = beat, time.monotonic()
-            return ended() or time.monotonic() - since > STOPPED or self._hangs() is not None
-
-        found = []
-        if beyond := gates.goals_beyond:
-            what = f"{beyond} of its goals {'was' if beyond == 1 else 'were'} not known"
-            found.append(
-                f"{what}, since {GOALS} others were in progress: what was asked about them was not handed over"
-            )
-        await node.comes_true(over, max(0.0, node.component.stop_times.patience - waited))
-        if not ended():
-            unended, seconds = _unended(gates), time.monotonic() - begun + waited
-            gates.cancel_goals()
-            await node.comes_true(ended, CANCELLING)
-            found.append(f"{unended} had not ended after {seconds:.0f} s (`patience`), and cancelling was asked for")
-            if not ended():
-                found.append(f"{_unended(gates)} had not ended {CANCELLING:g} s later")
-        await node.comes_true(lambda: not gates.goals(GoalState.ENDED), CANCELLING)
-        if lost := await self._keep_results():
-            is_one = lost.total() == 1
-            found.append(
-                f"the result{'' if is_one else 's'} of {_counted(lost)} that no client had fetched "
-                f"{'is' if is_one else 'are'} lost"
-            )
-        return found
-
-    async def _keep_results(self) -> Counter[str]:
-        """Keep the results that no client has fetched; how many are lost all the same, by ROS action."""
-        gates, lost = self._gates, Counter[str]()
-        try:
-            left = gates.ask_for_results()
-        except BackendError:
-            return gates.goals(GoalState.ENDED)
-
-        def kept(goal: KnownGoal, number: int) -> bool:
-            try:
-                return gates.keep_result(goal, number)
-            except BackendError:
-                lost[goal.action] += 1
-                return True
-
-        def answered() -> bool:
-            for goal, number in list(left.items()):
-                if kept(goal, number):
-                    del left[goal]
-            return not left
-
-        await self._node.comes_true(answered, CANCELLING)
-        for goal, number in left.items():
-            gates.page.withdraw(gates.index, number)
-            lost[goal.action] += 1
-        return lost
 
     # -- hand-over -------------------------------------------------------------------------------------
 
@@ -510,17 +435,3 @@ class GatedOutputs(UngatedOutputs):
 def _decided(gates: Gates) -> dict[str, tuple[int, int]]:
     """By output, what decides for it: its baton and its flags."""
     return {port: (gates.baton(port), int(gates.entry(port).flags)) for port in gates.component.outputs}
-
-
-def _unended(gates: Gates) -> str:
-    """The goals that have not ended, in words."""
-    known, beyond = gates.goals(*UNENDED), gates.goals_beyond
-    others = [f"{beyond} goal{'s' * (beyond != 1)} that {'are' if beyond != 1 else 'is'} not known"] if beyond else []
-    return ", ".join([*filter(None, [_counted(known)]), *others])
-
-
-def _counted(goals: Counter[str]) -> str:
-    """The goals of each ROS action, in words."""
-    return ", ".join(
-        f"{number} goal{'s' * (number != 1)} of ROS action {name}" for name, number in sorted(goals.items())
-    )
