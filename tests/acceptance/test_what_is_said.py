@@ -30,7 +30,7 @@ from unittest.mock import patch
 import pytest
 
 from midstride.errors import PlanRefused
-from midstride.foreign import gated_agent, lifecycle_managers
+from midstride.foreign import gated_agent, graph_watch, lifecycle_managers
 from midstride.foreign.record import ForeignRecord
 from midstride.lang.load import load
 from midstride.plan.forms.plan_forms import PlanPreview
@@ -558,7 +558,7 @@ FAULTS = (
 
 def test_no_word_of_plan_report_history_and_status_is_false(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gated_agent, "endpoints_seconds", lambda _: 4.0)
-    monkeypatch.setattr(gated_agent, "GRAPH_LOOK", 0.5)  # the recorder is taken for a manager, and says no parameters
+    monkeypatch.setattr(graph_watch, "GRAPH_LOOK", 0.5)  # the recorder is taken for a manager, and says no parameters
     monkeypatch.setattr(lifecycle_managers, "_PATIENCE", 0.1)
 
     async def scenario() -> None:

@@ -13,7 +13,7 @@ from rich.console import Console
 from midstride.backends.simulator import virtual_loop as virtual
 from midstride.cli import render
 from midstride.errors import CommandRefused
-from midstride.foreign.gated_agent import LOOK
+from midstride.foreign.graph_watch import LOOK
 from midstride.foreign.lifecycle_transitions import INACTIVE, NodeLifecycle
 from midstride.foreign.record import ForeignRecord
 from midstride.model.rules import violations

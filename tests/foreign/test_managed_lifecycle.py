@@ -12,9 +12,9 @@ import pytest
 
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.errors import CommandRefused, PlanRefused
-from midstride.foreign import gated_agent, lifecycle_managers
-from midstride.foreign.gated_agent import GRAPH_LOOK
+from midstride.foreign import graph_watch, lifecycle_managers
 from midstride.foreign.graph_check import GraphEndpoint, Served
+from midstride.foreign.graph_watch import GRAPH_LOOK
 from midstride.foreign.lifecycle_managers import LifecycleManager, reason_to_stay
 from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE
 from midstride.model.contract import QoS
@@ -284,7 +284,7 @@ def test_what_a_plan_could_not_ask_is_said_to_be_unknown(tmp_path: Path, monkeyp
     async def body(manager: Manager, simulator: StartingRos) -> None:
         later(simulator, 0.0, topics=["/diagnostics"], calls=False)
         await asyncio.sleep(2 * GRAPH_LOOK)
-        monkeypatch.setattr(gated_agent.ForeignAgent, "_look", hung)
+        monkeypatch.setattr(graph_watch.GraphWatch, "look", hung)
         outcome = await manager.change(PlanRequest(remove=("planner",)))
         assert (outcome.outcome, outcome.because) == ("done", None)
         assert outcome.continuity and f"{UNKNOWN}ended: what answers for planner did not look" in (

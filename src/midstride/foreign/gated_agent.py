@@ -17,15 +17,16 @@ from midstride.errors import CommandRefused, MidstrideError
 from midstride.foreign.agent_commands import ForeignCommands
 from midstride.foreign.declared_servers import DeclaredServers
 from midstride.foreign.foreign_parameters import ForeignParameters
-from midstride.foreign.foreign_state import EXPORT_STATE, ForeignState, StatePeers
+from midstride.foreign.foreign_state import ForeignState, StatePeers
 from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, NodeGraph, Served, endpoints_seconds
+from midstride.foreign.graph_watch import GRAPH_TIMEOUT, LOOK, SETTLED, GraphWatch
 from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
-from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, STATE_TIMEOUT, NodeLifecycle, taken_down
+from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, STATE_TIMEOUT, NodeLifecycle
 from midstride.foreign.node import WATCH, ForeignNode, of_topics, without_ports
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.replaced_node import lacks
@@ -37,21 +38,12 @@ from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply, Request
-from midstride.wire.state import GateState, UndeclaredTopic, WireValue
+from midstride.wire.state import GateState, WireValue
 from midstride.wire.transport import Transport
 
 HEARTBEAT: Final = 0.5
-# How often it asks a lifecycle node for its state and its parameters (s).
-LOOK: Final = 1.0
 # How often it asks any other node for its parameters (s).
 PARAMETERS_LOOK: Final = 2.0
-# How long the graph may take to show a new node's endpoints (s), and how often it is compared later (s).
-GRAPH_TIMEOUT: Final = 5.0
-GRAPH_LOOK: Final = 2.0
-# How soon after its start the graph is asked for what the node serves (s).
-FIRST_LOOK: Final = 0.3
-# A node of which the graph has shown nothing new for so long, and that answers, will create no more of them (s).
-SETTLED: Final = 2.0
 # How long a report may take to the manager, whose process this is, before the process of the node ends (s).
 REPORTED: Final = 0.1
 _REMEMBERED: Final = 1000
@@ -103,15 +95,15 @@ class ForeignAgent:
         self._before = before
         self._predecessor = predecessor
         self._managers = managers
-        self._shown: object = None  # what the graph showed of it last, until it shows nothing new any more
-        self._shown_since = 0.0
         self._declared = DeclaredEndpoints(of_topics(self.node.component), record.topics, record.node)
         self._servers = DeclaredServers(self.node.component, record.topics, record.node)
+        self._graph_watch = GraphWatch(
+            self.node, graph, served, self._declared, self._servers, managers, services, self._state, self._report
+        )
         self._failed: str | None = None  # why it has not been configured, or is not what is declared
         self._replies: dict[str, asyncio.Task[Reply]] = {}
         self._lock = asyncio.Lock()
         self._registered = asyncio.Event()
-        self._registered_at = 0.0
         self._tasks: list[asyncio.Task[None]] = []
         self._reported: dict[str, GateState | None] = {}
         greeting = frames.Greeting(
@@ -195,7 +187,7 @@ class ForeignAgent:
             self._failed = await self._without_servers(begun)
         if not self.node.component.ports() and self._failed is None:
             self._failed = await self._not_up()
-        self._registered_at = asyncio.get_running_loop().time()
+        self._graph_watch.registered()
         self._registered.set()
         self._report()
         declaration = NamedComponentForm.of(without_ports(self.node.component, missing))
@@ -290,123 +282,6 @@ class ForeignAgent:
         self._failed = "; ".join(faults) or None
         return []
 
-    async def _watch_graph(self) -> None:
-        """Look now and then whether the node still has what is declared: it may create endpoints at any time."""
-        await self._registered.wait()
-        while self._graph is not None or self._served is not None:
-            await self._look_at_graph()
-            later = LOOK if self._may_show_more() else GRAPH_LOOK
-            await asyncio.sleep(later if self.node.looked else FIRST_LOOK)
-
-    def _may_show_more(self) -> bool:
-        """Return whether the node started so recently that it may still create endpoints, services and clients."""
-        return self._managers is not None and self.node.record.instance in self._managers.starting
-
-    async def _look(self, seconds: float) -> None:
-        """Look at the graph, and again until it is known whether the node is managed, no longer than ``seconds``."""
-        node, clock = self.node, asyncio.get_running_loop().time
-        deadline = clock() + seconds
-        await self._look_at_graph()
-        while not node.managed and (node.starting or not self._has_shown_itself()) and clock() < deadline:
-            await asyncio.sleep(min(FIRST_LOOK, max(0.0, deadline - clock())))
-            await self._look_at_graph()
-
-    def _has_shown_itself(self) -> bool:
-        """Return whether the graph has shown nothing new of the node for FIRST_LOOK, so what it shows is the node.
-
-        Other processes may see a change of the graph sooner than this one.
-        """
-        since = asyncio.get_running_loop().time() - self._shown_since
-        return not self._may_show_more() or (self.node.looked and since >= FIRST_LOOK)
-
-    async def _look_at_graph(self) -> None:
-        """Note what it shows of the node. What it has not shown for long enough, it never will, as without ROS."""
-        now = asyncio.get_running_loop().time()
-        never = now - self._registered_at > GRAPH_TIMEOUT
-        served = Served() if self._served is None else self._served()
-        found = [] if self._graph is None else self._graph()
-        self._note_news((set(found), served), nothing=not found and served == Served(), never=never)
-        await self._look_at_managers(served)
-        left = await self._left_active(served)
-        # A middleware that shows nothing of the node shows no server either: then nothing is known.
-        lost = self._servers.differences(served) if self._registered.is_set() and served != Served() else []
-        names = [*served.names]
-        if served.managers:
-            names.append(f"its lifecycle services, which {' and '.join(each.name for each in served.managers)} calls")
-        seen = (
-            [*self._declared.differences(found), *lost, *left, *self._managed_twice(served)],
-            self._undeclared(found),
-            names,
-            [*served.calls],
-            self.node.looked or bool(found) or never,
-        )
-        node = self.node
-        keeps_state = self._state is not None and self._state.offers(EXPORT_STATE, served)
-        if (*seen, keeps_state) != (*self._seen(), node.keeps_state):
-            node.differences, node.undeclared, node.serves, node.calls, node.looked = seen
-            node.keeps_state = keeps_state
-            self._report()
-
-    def _seen(self) -> tuple[object, ...]:
-        node = self.node
-        return node.differences, node.undeclared, node.serves, node.calls, node.looked
-
-    def _undeclared(self, found: Sequence[GraphEndpoint]) -> list[UndeclaredTopic]:
-        """The topics of the node that are no ports, of what the graph shows of it."""
-        shown, gates = self._declared.undeclared(found), self.node.gates
-        handed_over: set[str] = set()
-        if gates is not None and any(each.output for each in shown):
-            handed_over = gates.unstated_topics()
-        return [
-            UndeclaredTopic(
-                output=each.output,
-                topic=each.topic,
-                type=each.type,
-                handed_over=each.output and each.topic in handed_over,
-            )
-            for each in shown
-        ]
-
-    def _note_news(self, shown: object, *, nothing: bool, never: bool) -> None:
-        """Note whether the node may still create anything, by what the graph has ``shown`` of it now."""
-        if (managers := self._managers) is None or not self._may_show_more():
-            return
-        now = asyncio.get_running_loop().time()
-        if shown != self._shown:
-            self._shown, self._shown_since = shown, now
-        if never if nothing else now - self._shown_since >= SETTLED:
-            managers.starting.pop(self.node.record.instance, None)
-
-    async def _look_at_managers(self, served: Served) -> None:
-        """Note why the node must not end: at first by what the graph shows, which a manager's parameters may refute."""
-        if (managers := self._managers) is None:
-            return
-
-        def note() -> None:
-            node = self.node
-            starting = [name for name, role in sorted(managers.starting.items()) if role != node.record.role]
-            found = (
-                managers.reasons_to_stay(node.record.node, served.managers),
-                starting if served.has_lifecycle else [],
-            )
-            if found != (node.managed, node.starting):
-                node.managed, node.starting = found
-                self._report()
-
-        note()
-        await managers.ask(served.managers)
-        note()
-
-    def _managed_twice(self, served: Served) -> list[str]:
-        if not self.node.component.has_lifecycle:
-            return []
-        gate, node = self.node.component.gate, self.node.record.node
-        return [
-            f"lifecycle manager {each.name} changes the state of {node}, and so does Midstride (`gate {gate}`): "
-            "only one of them may, so end the manager, or declare `gate preload`"
-            for each in served.managers
-        ]
-
     async def _follow(self) -> None:
         """Take a node that another program manages to the state of the one that it replaces, behind its gate.
 
@@ -435,23 +310,6 @@ class ForeignAgent:
             own = NodeLifecycle(record.instance, self._services, startup, activate)
             await own.reach(state, own.services_timeout)
 
-    async def _left_active(self, served: Served) -> list[str]:
-        """In which state a lifecycle node is that has no modes to show it, if it or its predecessor was active."""
-        component = self.node.component
-        if not served.has_lifecycle or self._services is None:
-            return []
-        if component.has_lifecycle and component.functionalities:
-            return []
-        try:
-            state = await self._services.lifecycle_state(LOOK)
-        except NoAnswer:
-            return []
-        if state == ACTIVE and not self.node.record.was_active:
-            self.node.change_record(was_active=True)
-        if state == ACTIVE or not self.node.record.was_active:
-            return []
-        return [taken_down(self.node.record.node, state)]
-
     async def _heartbeat(self) -> None:
         """Report twice a second, and soon after a baton has moved, which the nodes do without a command.
 
@@ -463,6 +321,10 @@ class ForeignAgent:
             if self.node.unwritten is not None:
                 self.node.write_record()
             self._report()
+
+    async def _watch_graph(self) -> None:
+        await self._registered.wait()
+        await self._graph_watch.watch()
 
     async def _watch_lifecycle(self) -> None:
         """Look now and then which lifecycle state and which parameters the node has: others may change them."""
@@ -535,7 +397,7 @@ class ForeignAgent:
                 self._changed(welcomed=True)
                 result: WireValue = self.node.state()
             elif isinstance(command, commands.ObserveCommand) and command.timeout:
-                await self._look(command.timeout)
+                await self._graph_watch.look(command.timeout)
                 result = self.node.state()
             else:
                 result = await self._commands.carry_out(command)
