@@ -15,6 +15,7 @@ from immutables import Map
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName
 from midstride.backends.ros2.manager.parameter_file import parameter_file, write_parameters
+from midstride.backends.ros2.manager.start_arguments import StartArguments
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import StartFailed
 from midstride.lang.load import load
@@ -203,7 +204,7 @@ def test_the_file_is_written_for_a_start_and_deleted_with_the_process(tmp_path: 
     nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path), lambda node: None)
     given: dict[str, object] = {"rate": 9.0}  # set while its predecessor ran
     launch = Launch("talker_2", "", (), "t", tmp_path, dict(instance.parameters), given, sections=instance.sections)
-    arguments = nodes.arguments(launch, component, StartName("/talker_2"))
+    arguments = StartArguments(tmp_path / "gates").of(launch, component, StartName("/talker_2"))
     path = parameter_file(tmp_path / "gates", "talker_2")
     assert arguments == ["--ros-args", "-r", "__node:=talker_2", "--params-file", str(path)]
     assert path.read_text().splitlines() == [
@@ -213,7 +214,11 @@ def test_the_file_is_written_for_a_start_and_deleted_with_the_process(tmp_path: 
     nodes.gone("talker_2")
     assert not path.exists()
     plain = Launch("talker", "", (), "t", tmp_path)
-    assert nodes.arguments(plain, component, StartName("/talker")) == ["--ros-args", "-r", "__node:=talker"]
+    assert StartArguments(tmp_path / "gates").of(plain, component, StartName("/talker")) == [
+        "--ros-args",
+        "-r",
+        "__node:=talker",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -328,7 +333,7 @@ def test_a_node_that_its_program_names_gets_what_launch_gives_it(
     def started(instance: str, running: str = "") -> tuple[list[str], list[tuple[str, dict[str, Any]]]]:
         given = unnamed_launch(specification, role, instance, tmp_path)
         name = nodes.start_name(given, component, lambda node: node == running)
-        arguments = nodes.arguments(given, component, name)
+        arguments = StartArguments(tmp_path / "gates").of(given, component, name)
         found = rcl_sections([parameter_file(tmp_path / "gates", instance)])
         assert found is not None and "--enclave" in arguments
         return arguments, found
@@ -369,7 +374,13 @@ def test_one_node_of_several_is_named_where_it_is_stated_what_its_program_calls_
     component = made.components["C"]
     name = nodes.start_name(launch, component, lambda node: node == "/a/n")
     assert (name.full, name.passed) == ("/a/n_2", True)
-    assert nodes.arguments(launch, component, name)[:5] == ["--ros-args", "-r", "cam:__node:=n_2", "-r", "__ns:=/a"]
+    assert StartArguments(tmp_path / "gates").of(launch, component, name)[:5] == [
+        "--ros-args",
+        "-r",
+        "cam:__node:=n_2",
+        "-r",
+        "__ns:=/a",
+    ]
 
 
 @pytest.mark.parametrize(

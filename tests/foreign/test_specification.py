@@ -14,8 +14,9 @@ from immutables import Map
 from msgspec import structs
 
 from midstride.backends.ros2.manager.component_containers import LoadRequest
-from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes, ros_arguments
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName
+from midstride.backends.ros2.manager.start_arguments import ros_arguments
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import BackendError, NodeError, PlanRefused, StepFailed
 from midstride.foreign.page import Page

@@ -40,6 +40,7 @@ from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_owner import node_owner
 from midstride.backends.ros2.manager.node_services import RosNodeServices
 from midstride.backends.ros2.manager.own_names import StartName, named
+from midstride.backends.ros2.manager.start_arguments import StartArguments
 from midstride.backends.ros2.manager.topic_listener import RosListener
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint, Served
@@ -96,6 +97,7 @@ class Ros2Backend(ProcessBackend, Backend):
         self._context: Any = None
         self._probes = 0
         self._probe_stuck = False
+        self._arguments = StartArguments(control / GATES_FOLDER)
         self._foreign_nodes = ForeignNodes(
             control / GATES_FOLDER,
             self.transport,
@@ -168,9 +170,9 @@ class Ros2Backend(ProcessBackend, Backend):
             name = _name_once(launch)
             if not component.once:
                 name = self._foreign_nodes.start_name(launch, component, lambda _: False)
-            arguments, environment, files = self._foreign_nodes.describe(launch, component, name, environment)
+            arguments, environment, files = self._arguments.describe(launch, component, name, environment)
             command = (*command, *arguments)
-            request = self._foreign_nodes.load_request(launch, component, name)
+            request = self._arguments.load_request(launch, component, name)
         load = () if request is None else request.command()
         return DescribedProcess(command, processes.differences(environment, os.environ), files, load)
 
@@ -213,7 +215,7 @@ class Ros2Backend(ProcessBackend, Backend):
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.once:
             if _is_ros_node(launch):
-                command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, _name_once(launch)))
+                command = (*command, *self._arguments.of(launch, launch.foreign, _name_once(launch)))
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.gate == "relay":
             if start_name.full:
@@ -226,9 +228,9 @@ class Ros2Backend(ProcessBackend, Backend):
         try:
             if not start_name.shared:
                 graph.starts(start_name.full or own_name)
-            command = (*command, *self._foreign_nodes.arguments(launch, launch.foreign, start_name))
+            command = (*command, *self._arguments.of(launch, launch.foreign, start_name))
             handle = await self._spawn(launch, own_name, command, environment)
-            request = self._foreign_nodes.load_request(launch, launch.foreign, start_name)
+            request = self._arguments.load_request(launch, launch.foreign, start_name)
             await self._foreign_nodes.started(record, handle, request)
         except BaseException as error:  # a process without an agent must not keep running
             await super().end(launch.instance, KILL_AT_ONCE)

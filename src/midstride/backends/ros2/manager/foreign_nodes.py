@@ -11,16 +11,17 @@ from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, S
 from contextlib import suppress
 from dataclasses import replace as replaced
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from msgspec.structs import replace
 
 from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
-from midstride.backends.ros2.manager.component_containers import LoadRequest, container_arguments, container_name
+from midstride.backends.ros2.manager.component_containers import LoadRequest, container_name
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
-from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, parameters_text, write_parameters
+from midstride.backends.ros2.manager.parameter_file import parameter_file
 from midstride.backends.ros2.manager.process_nodes import AskedProcess
+from midstride.backends.ros2.manager.start_arguments import ENV_NODE, ENV_PAGE, StartArguments, enclave_for
 from midstride.backends.ros2.names import InstanceNode, system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
@@ -32,7 +33,6 @@ from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import GraphEndpoint, Served, endpoints_seconds
 from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_outputs import LifecyclePeers
-from midstride.foreign.mode_parameters import typed
 from midstride.foreign.node import of_services, of_topics
 from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
 from midstride.foreign.page import PAGE, Page, kept_results
@@ -45,11 +45,6 @@ from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Handle, Launch
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
-
-ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
-ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
-# Of what is only described, instead of a number or a name that is made when the process is started.
-GIVEN_AT_THE_START: Final = "(given at the start)"
 
 # What the graph shows of a node, by its full name and, where its process has one, its mark.
 GraphOf: TypeAlias = Callable[[str, bytes | None], Sequence[GraphEndpoint]]
@@ -102,6 +97,7 @@ class ForeignNodes:
         self.names: set[str] = set()  # the full names of their ROS nodes, also of those that have ended
         self._closing: set[asyncio.Task[None]] = set()
         self._own_names = OwnNames(folder)
+        self._arguments = StartArguments(folder)
         self._finding: dict[str, asyncio.Task[None]] = {}
         self._nodes_in = nodes_in
         self._addressed = addressed
@@ -203,7 +199,7 @@ class ForeignNodes:
         node = name.full or full_name(launch.instance, launch.namespace)
         topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
         order = RelayOrder(
-            command=[*command, *self.arguments(replaced(launch, topics=topics), component, name)],
+            command=[*command, *self._arguments.of(replaced(launch, topics=topics), component, name)],
             node=name.full,
             declaration=NamedComponentForm.of(component),
             topics=topics,
@@ -211,7 +207,7 @@ class ForeignNodes:
             real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
             stated=json_values(launch.parameters),
             taken_over=json_values(launch.set_parameters),
-            enclave=self._enclave(launch, component),
+            enclave=enclave_for(launch, component),
             unnamed=not name.passed,
             role=launch.role,
             predecessor=self._lifecycle_node(launch),
@@ -237,64 +233,6 @@ class ForeignNodes:
         if record.index is None or self._page is None or not (found := self._page.servers(record.index)):
             return None
         return frozenset(each for each in found if not record.container or not each.startswith(f"{record.container}/"))
-
-    def describe(
-        self, launch: Launch, component: ComponentSpec, name: StartName, environment: Mapping[str, str]
-    ) -> tuple[list[str], dict[str, str], dict[str, str]]:
-        """What follows the command, the environment, and the file of the parameters, of which nothing is written."""
-        node = name.full or full_name(launch.instance, launch.namespace)
-        if component.gate == "relay":
-            topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
-            launch = replaced(launch, topics=topics)
-        path, variables = parameter_file(self._folder.absolute(), launch.instance), dict(environment)
-        text = parameters_text(launch.sections, name.full or ALL, self._values(launch, component, name))
-        if component.preloads or (component.loads_library and build.is_available(environment)):
-            preloaded, library = environment.get("LD_PRELOAD", ""), build.library_path(environment)
-            variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
-            variables |= {ENV_PAGE: str((self._folder / PAGE).absolute()), ENV_NODE: GIVEN_AT_THE_START}
-        enclave = GIVEN_AT_THE_START if component.unnamed else ""
-        arguments = ros_arguments(launch, component, name, path if text else None, enclave)
-        return arguments, variables, {str(path): text} if text else {}
-
-    def _values(self, launch: Launch, component: ComponentSpec, name: StartName) -> dict[str, object]:
-        """The values of the parameters of its node."""
-        given = {**launch.parameters, **launch.set_parameters}
-        if name.full and component.unnamed:  # what the sections have for all nodes is among these
-            own = name.original or name.full
-            matching = [section.parameters for section in launch.sections if section.matches(own)]
-            given = {key: value for values in (*matching, launch.set_parameters) for key, value in values.items()}
-        return typed(component, given, {})
-
-    def arguments(self, launch: Launch, component: ComponentSpec, name: StartName) -> list[str]:
-        """Return what follows the command; the parameters are in a file, which is deleted with the process.
-
-        Raises BackendError.
-        """
-        path = parameter_file(self._folder.absolute(), launch.instance)
-        values = self._values(launch, component, name)
-        written = write_parameters(path, launch.sections, name.full or ALL, values)
-        enclave = self._enclave(launch, component)
-        return ros_arguments(launch, component, name, path if written else None, enclave)
-
-    def load_request(self, launch: Launch, component: ComponentSpec, name: StartName) -> LoadRequest | None:
-        """Return what loads the node of the instance into its container; None where it has none."""
-        if launch.load is None:
-            return None
-        matching = (section.parameters for section in launch.sections if section.matches(name.full))
-        values = {key: value for section in matching for key, value in section.items()}
-        return LoadRequest(
-            container_name(launch),
-            component.package or "",
-            launch.load.plugin,
-            name.full,
-            (*launch.load.remaps, *_remaps(launch, component)),
-            values | self._values(launch, component, name),
-            launch.load.extra,
-        )
-
-    def _enclave(self, launch: Launch, component: ComponentSpec) -> str:
-        """Where the node of a program is found that gives it its name itself; empty for any other."""
-        return enclave_of(system_tag(launch.token), launch.instance) if component.unnamed else ""
 
     def _relays(self, instance: str, order: RelayOrder) -> None:
         if order.enclave:
@@ -530,29 +468,3 @@ class ForeignNodes:
             task.cancel()
         await asyncio.gather(*(agent.close() for agent in agents), *self._closing)
         self._managers.close()
-
-
-def ros_arguments(
-    launch: Launch, component: ComponentSpec, name: StartName, parameters: Path | None = None, enclave: str = ""
-) -> list[str]:
-    """Return what follows the command: the node's name, the topics of its ports, and its file of parameters."""
-    files = [] if parameters is None else ["--params-file", str(parameters)]
-    if launch.load is not None:  # further nodes that a composable node makes do read the arguments of the process
-        return ["--ros-args", *container_arguments(container_name(launch)), *files]
-    own, namespace = split_name(name.full) if name.full else ("", f"/{launch.namespace}")
-    of_one = f"{split_name(name.original)[0]}:" if name.original else ""  # further nodes keep their names
-    remaps = [f"{of_one}__node:={own}"] if name.passed else []
-    if component.unnamed:
-        namespace = f"/{launch.namespace}"
-    remaps += [f"__ns:={namespace}"] if namespace != "/" else []  # else a further node may have one of its own
-    remaps += _remaps(launch, component)
-    arguments = [part for remap in remaps for part in ("-r", remap)]
-    arguments += ["--enclave", enclave] if enclave else []
-    arguments += files
-    return ["--ros-args", *arguments] if arguments else []
-
-
-def _remaps(launch: Launch, component: ComponentSpec) -> list[str]:
-    """The rules for the topics of its ports."""
-    named = ((component.topic_of(port), topic) for port, topic in launch.topics.items())
-    return [f"{own}:={topic}" for own, topic in named if own != topic]
