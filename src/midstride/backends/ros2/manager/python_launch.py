@@ -13,19 +13,15 @@ import os
 import sys
 import traceback
 from collections.abc import Iterable, Iterator
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
+from midstride.backends.ros2.manager.described_launch import DescribedLaunch, role_of
 from midstride.backends.ros2.manager.harmless_launch import LeftOut, with_places, without_effect
 
 NO_LAUNCH: Final = 3
 _HARMLESS: Final = frozenset({"LogInfo", "SetROSLogDir"})
-# What launch has for `sigterm_timeout` and `sigkill_timeout` (s).
-_UNSTATED: Final = 5.0
 _AT_EXIT: Final = float("inf")  # when processes end, which is later than any time
-# Variables of a process that launch itself and this process set.
-_OWN_VARIABLES: Final = frozenset({"ROS_LOG_DIR", "TMPDIR"})
 # The transitions of a lifecycle node by their numbers in lifecycle_msgs/msg/Transition: name, start, while it lasts,
 # goal.
 _TRANSITIONS: Final = {
@@ -58,8 +54,9 @@ class _Visitor:
         self._actions: Any = launch.actions
         self._ros: Any = launch_ros.actions
         self._change_state: Any = ChangeState
-        self._before = dict(os.environ)
         self.context: Any = launch.LaunchContext(noninteractive=True)
+        self._description = DescribedLaunch(self.context, launch_ros.actions.Node)
+        self.text = self._description.text
         self.context._set_asyncio_loop(asyncio.new_event_loop())
         configurations = self.context.launch_configurations
         configurations.update(given["variables"])
@@ -114,7 +111,7 @@ class _Visitor:
                 for each in configurations.pop("global_params", None) or ()
             ],
             "variables": {name: str(value) for name, value in configurations.items()},
-            "environment": self._changes(os.environ),
+            "environment": self._description.changes(os.environ),
         }
         while self._later:
             self._later.sort(key=lambda each: each[:2])
@@ -361,7 +358,7 @@ class _Visitor:
         name, start, lasting, goal = _TRANSITIONS.get(event.transition_id, ("", "", "", ""))
         meant = [(node, found) for node, found in self._lifecycle_nodes if event.lifecycle_node_matcher(node)]
         if not meant or any(found["state"] != start for _, found in meant):
-            of = ", ".join(f"`{_role(node)}`, which is {found['state']}," for node, found in meant)
+            of = ", ".join(f"`{role_of(node)}`, which is {found['state']}," for node, found in meant)
             what = f"`ChangeState` ({name or event.transition_id}) of {of or 'what is no lifecycle node here'}"
             self.note("unsupported", f"{what} is left out")
             return
@@ -384,7 +381,7 @@ class _Visitor:
             entities = handler.entities
             actions = entities if isinstance(entities, (list, tuple)) else [entities]
             outer, self._place = self._place, place
-            self._postpone(self._now(), f"when `{_role(node)}` has become {goal}", actions)
+            self._postpone(self._now(), f"when `{role_of(node)}` has become {goal}", actions)
             self._place = outer
 
     # -- processes -------------------------------------------------------------------------------------------
@@ -400,57 +397,18 @@ class _Visitor:
 
     def started(self, action: Any) -> None:
         """Record what launch would start now, in place of `ExecuteLocal.__execute_process`."""
-        is_node = isinstance(action, self._ros.Node)
-        details, described = action.process_details, action.process_description
-        words = [str(word) for word in details["cmd"]]
-        before = len(words) - len(described.cmd)
-        found: dict[str, Any] = {
-            "place": self._place,
-            "type": type(action).__name__ if is_node else "",
-            "prefix": words[:before],
-            "words": words[before:],
-            "package": self.text(action.node_package) if is_node else "",
-            "executable": self.text(action.node_executable) if is_node else "",
-            "environment": self._changes(details["env"]),
-            "cleared": described.env is not None,
-            "folder": details["cwd"] and str(details["cwd"]),
-            "shell": bool(action.shell),
-            "respawn": None,
-            "after": self._after_what(),
-            "texts": {},
-            "stop": dict(self._stop(action)),
-        }
+        found = {"place": self._place, "after": self._after_what(), **self._description.process(action)}
         if isinstance(action, self._ros.LifecycleNode):
             found["state"] = "unconfigured"
             self._lifecycle_nodes.append((action, found))
-        label = found["executable"] or os.path.basename(words[before]) if len(words) > before else ""
-        if described.name is not None:
-            label = self.text(described.name)
-        found["label"] = label
-        self._labels[id(action)] = label
+        label = self._labels[id(action)] = found["label"]
         for follow in self._waiting.pop(id(action), ()):
             self._follow(label, *follow)
-        if action._ExecuteLocal__respawn:
-            delay = action._ExecuteLocal__respawn_delay
-            found["respawn"] = {"delay": delay or 0.0, "retries": action._ExecuteLocal__respawn_max_retries}
-        for option, value in pairwise(words):
-            if option == "--params-file":
-                found["texts"] |= _passing_text(value)
         self.processes.append(found)
         self._on_exit(action, label)
         if type(action).__name__ == "ComposableNodeContainer":
             descriptions = action._ComposableNodeContainer__composable_node_descriptions
-            self._components(descriptions, f"/{_role(action)}")
-
-    def _stop(self, action: Any) -> Iterator[tuple[str, float]]:
-        """How long it may take to end, by the signal that then comes (s), where that is not launch's default."""
-        for name in ("sigterm", "sigkill"):
-            try:
-                seconds = float(self.text(getattr(action, f"{name}_timeout")))
-            except ValueError:
-                continue
-            if 0 <= seconds < float("inf") and seconds != _UNSTATED:
-                yield name, seconds
+            self._components(descriptions, f"/{role_of(action)}")
 
     def _on_exit(self, action: Any, label: str) -> None:
         stated = getattr(action, "_ExecuteLocal__on_exit", None)
@@ -468,7 +426,7 @@ class _Visitor:
     def _load(self, action: Any) -> None:
         target = action._LoadComposableNodes__target_container
         if isinstance(target, self._ros.Node):
-            name = f"/{_role(target)}"
+            name = f"/{role_of(target)}"
         else:
             name = self.text(target)
             if not name.startswith("/"):
@@ -480,75 +438,13 @@ class _Visitor:
         for description in descriptions or ():
             condition = description.condition()
             if condition is None or condition.evaluate(self.context):
-                self.processes.append(self._component(description, container))
-
-    def _component(self, description: Any, container: str) -> dict[str, Any]:
-        from launch_ros.parameter_descriptions import ParameterFile
-        from launch_ros.utilities import evaluate_parameters
-        from launch_ros.utilities.normalize_parameters import normalize_parameter_dict
-
-        configurations = self.context.launch_configurations
-        base, own = configurations.get("ros_namespace") or "", self.text(description.node_namespace)
-        stated: list[Any] = [
-            ParameterFile(each) if isinstance(each, str) else normalize_parameter_dict({each[0]: each[1]})
-            for each in configurations.get("global_params") or ()
-        ]
-        given = evaluate_parameters(self.context, [*stated, *(description.parameters or [])])
-        parameters: list[tuple[str, Any]] = []
-        texts: dict[str, str] = {}
-        for each in given:
-            if isinstance(each, (str, os.PathLike)):
-                path = os.fspath(each)
-                parameters.append(("path", path))
-                texts |= _passing_text(path)
-            elif isinstance(each, dict):
-                parameters.append(("values", each))
-            else:  # the value of one parameter
-                parameters.append(("values", {each.name: each.value}))
-        extra: dict[str, Any] = {}
-        for each in evaluate_parameters(self.context, description.extra_arguments or []):
-            extra |= each if isinstance(each, dict) else {}
-        remaps = [*configurations.get("ros_remaps", ())]
-        remaps += [(self.text(old), self.text(new)) for old, new in description.remappings or ()]
-        return {
-            "place": getattr(description, "_midstride_place", self._place),
-            "plugin": self.text(description.node_plugin),
-            "package": self.text(description.package),
-            "name": self.text(description.node_name),
-            "namespace": own if own.startswith("/") or not base else f"{base.rstrip('/')}/{own}".rstrip("/"),
-            "target": container,
-            "remaps": remaps,
-            "parameters": parameters,
-            "texts": texts,
-            "extra": extra,
-            "after": self._after_what(),
-        }
+                place = getattr(description, "_midstride_place", self._place)
+                found = self._description.component(description, container)
+                self.processes.append({"place": place, "after": self._after_what(), **found})
 
     def _after_what(self) -> dict[str, Any] | None:
         """Return what launch waits for before it starts what comes now; None where it does not wait."""
         return None if self._after is None else {"how": self._after["how"], "time": self._after["time"]}
-
-    def _changes(self, after: Any) -> dict[str, str | None]:
-        """The variables that are other than at the beginning; None for one that is not there."""
-        names = sorted({*self._before, *after} - _OWN_VARIABLES)
-        return {name: after.get(name) for name in names if self._before.get(name) != after.get(name)}
-
-    def text(self, value: Any) -> str:
-        """Return what launch makes of a text with substitutions."""
-        if value is None or isinstance(value, (str, os.PathLike)):
-            return "" if value is None else str(value)
-        parts: Iterable[Any] = value if isinstance(value, (list, tuple)) else [value]
-        return "".join(self.context.perform_substitution(part) if not isinstance(part, str) else part for part in parts)
-
-
-def _role(node: Any) -> str:
-    """The full name of a node that is started, without the outer slash."""
-    return str(node.node_name).strip("/")
-
-
-def _passing_text(path: str) -> dict[str, str]:
-    """Return, by path, the text of a parameter file of launch_ros, whose folder ends with this process."""
-    return {path: Path(path).read_text(encoding="utf-8")} if os.path.dirname(path) == os.environ.get("TMPDIR") else {}
 
 
 def _described(error: BaseException) -> str:
