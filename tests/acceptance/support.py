@@ -35,6 +35,7 @@ from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Command, CutInCommand
 from midstride.wire.environment import ENV_INSTANCE
 from midstride.wire.replies import Receipt
+from tests.backends.ros2_support import tuned_environment
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "benchmarks"
@@ -97,8 +98,6 @@ class Recorder:
     """A process of bare rclpy that records ``/swap``; it knows nothing of Midstride."""
 
     def __init__(self, folder: Path) -> None:
-        from midstride.backends.ros2.dds_profiles import tuned_environment
-
         self._path = folder / "recorded.json"
         self._process = subprocess.Popen(
             [sys.executable, str(NODES), "recorder", str(self._path), str(QUEUE)],
@@ -127,8 +126,6 @@ class ClockSource:
     """A process that publishes ``/clock``; ``pid`` is its own."""
 
     def __init__(self, folder: Path, speed: float, begin: float = 100.0) -> None:
-        from midstride.backends.ros2.dds_profiles import tuned_environment
-
         self._path = folder / "clock.json"
         self._process = subprocess.Popen(
             [sys.executable, str(Path(__file__).parent / "_clock_source.py"), str(self._path), str(speed), str(begin)],

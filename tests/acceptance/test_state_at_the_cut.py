@@ -22,6 +22,7 @@ from midstride.codec.specification_form import decode_specification
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import ended
+from tests.backends.ros2_support import tuned_environment
 from tests.runtime.counting import at_rates, exchanged, for_messages, system
 from tests.runtime.test_state_without_outputs import RESTART, noted, sink_system
 
@@ -54,8 +55,6 @@ rospy.spin()
 @contextlib.contextmanager
 def recorded(source: str, path: Path) -> Iterator[None]:
     """A process that knows nothing of Midstride; ``path`` has a line for each message."""
-    from midstride.backends.ros2.dds_profiles import tuned_environment
-
     environment = tuned_environment(dict(os.environ)) if source is _RCLPY else None
     process = subprocess.Popen([sys.executable, "-c", source, str(path)], env=environment, start_new_session=True)
     try:

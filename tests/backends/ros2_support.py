@@ -12,7 +12,7 @@ import signal
 import textwrap
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -78,11 +78,17 @@ def publishers_are_identified() -> bool:
     return info is not None and "publisher_gid" in info.__annotations__
 
 
-def without_midstride() -> dict[str, str]:
-    """The environment of a process started by hand, with the middleware set as for one that a manager starts."""
+def tuned_environment(environment: Mapping[str, str]) -> dict[str, str]:
+    """``environment`` with the middleware set as for a process that a manager starts."""
     from midstride.backends.ros2 import dds_profiles
 
-    return dds_profiles.tuned_environment({k: v for k, v in os.environ.items() if not k.startswith("MIDSTRIDE_")})
+    settings = dds_profiles.choose(environment, dds_profiles.of_this_process().middleware, dds_profiles.loaded_major())
+    return {**environment, **settings.variables}
+
+
+def without_midstride() -> dict[str, str]:
+    """The environment of a process started by hand, with the middleware set as for one that a manager starts."""
+    return tuned_environment({k: v for k, v in os.environ.items() if not k.startswith("MIDSTRIDE_")})
 
 
 def alive(pid: int) -> bool:

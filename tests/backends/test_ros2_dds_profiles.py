@@ -14,6 +14,7 @@ import pytest
 
 from midstride.backends.ros2 import dds_profiles
 from midstride.backends.ros2.dds_profiles import PROFILE_VARIABLES, PROFILES, RANGE, TRANSPORTS, choose
+from tests.backends.ros2_support import tuned_environment
 
 FAST_DDS = "rmw_fastrtps_cpp"
 LOCAL = {RANGE: "LOCALHOST"}
@@ -233,7 +234,7 @@ def test_a_new_process_is_matched_and_acknowledged_long_before_the_next_announce
 ) -> None:
     """With the defaults of Fast DDS, either of the two takes nearly 3 s: of five times, so does the median."""
     command = [sys.executable, "-c", JOINING]
-    tuned = dds_profiles.tuned_environment({**os.environ, **environment})
+    tuned = tuned_environment({**os.environ, **environment})
     with subprocess.Popen([*command, "listener"], env=tuned, stdout=subprocess.PIPE, text=True) as listener:
         try:
             assert listener.stdout is not None and listener.stdout.readline()
@@ -251,7 +252,7 @@ def test_a_new_process_is_matched_and_acknowledged_long_before_the_next_announce
 @pytest.mark.ros2
 def test_the_101st_process_of_a_host_is_heard() -> None:
     """The ports of a domain allow 120, and Fast DDS tries the first 100 by default."""
-    tuned = dds_profiles.tuned_environment({**os.environ, **LOCAL})
+    tuned = tuned_environment({**os.environ, **LOCAL})
     first = 7400 + 250 * int(os.environ.get("ROS_DOMAIN_ID", "0")) + 10  # DDSI-RTPS 9.6.2.3
     command = [sys.executable, "-c", JOINING]
     with contextlib.ExitStack() as stack:

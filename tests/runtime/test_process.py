@@ -23,7 +23,7 @@ from midstride.runtime.process import child_process as process_module
 from midstride.runtime.process import family as families
 from midstride.runtime.process import reaper
 from midstride.runtime.process.child_process import Process, end_orphans, find, shorten, spawn, tail
-from midstride.runtime.process.reaper import Reaper, group_members, process_info
+from midstride.runtime.process.reaper import Reaper, process_info
 from midstride.wire.environment import ENV_INSTANCE, ENV_START, ENV_TOKEN
 
 VARIABLE = "MIDSTRIDE_TOKEN"
@@ -72,6 +72,11 @@ def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
 def alive(pid: int) -> bool:
     info = process_info(pid)
     return info is not None and info.alive
+
+
+def group_members(group: int) -> list[int]:
+    """The living processes of a process group."""
+    return [process.pid for process in reaper.processes() if process.group == group and process.alive]
 
 
 @pytest.fixture

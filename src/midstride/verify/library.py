@@ -8,8 +8,6 @@ from functools import cache
 from importlib.resources import files
 from typing import Final, Literal
 
-# The paper's listings as printed do not parse (docs/paper.md), so no check runs on them.
-PRINTED: Final = "printed"
 # In reading order.
 MODULES: Final = (
     "completed", "core", "system", "actions", "groups", "handover", "limits", "best", "diagnosis",

@@ -120,11 +120,6 @@ def of_this_process(*, enabled: bool = True) -> DdsSettings:
     return choose(os.environ, middleware, loaded_major())
 
 
-def tuned_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """``environment`` as a component's process gets it, for other processes to be compared with it (benchmarks)."""
-    return {**environment, **choose(environment, of_this_process().middleware, loaded_major()).variables}
-
-
 def loaded_major() -> int | None:
     """The version of the Fast DDS that this process has loaded."""
     maps = _maps()

@@ -66,11 +66,6 @@ def processes() -> Iterator[ProcessInfo]:
             yield process
 
 
-def group_members(group: int) -> list[int]:
-    """The living processes of a process group."""
-    return [process.pid for process in processes() if process.group == group and process.alive]
-
-
 def environment_value(pid: int, variable: str) -> str | None:
     """The variable in the environment with which the process started; None if it is not set or cannot be read."""
     name = f"{variable}=".encode()
