@@ -14,6 +14,7 @@ from midstride.backends.simulator.control import SimulatedControl
 from midstride.foreign.foreign_state import EXPORT_STATE, IMPORT_STATE
 from midstride.foreign.graph_check import NamedServer, Served
 from midstride.foreign.lifecycle_transitions import ACTIVE, FINALIZED, INACTIVE, UNCONFIGURED
+from midstride.foreign.preloading import StartedPrograms
 from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
 from midstride.model.component import StopTimes
@@ -201,7 +202,8 @@ class SimulatedRos(Simulator):
         try:
             name = full_name(launch.instance, launch.namespace)
             without_library = {"CC": "none", "XDG_CACHE_HOME": str(self._folder)}
-            _, record = await self._foreign.prepare(launch, launch.foreign, name, without_library)
+            started = StartedPrograms((), without_library)
+            _, record = await self._foreign.prepare(launch, launch.foreign, name, started)
             await self._foreign.started(record, handle)
         except BaseException:
             self._gone(launch.instance)

@@ -20,6 +20,7 @@ from midstride.backends.ros2.manager.start_arguments import ros_arguments
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import BackendError, NodeError, PlanRefused, StepFailed
 from midstride.foreign.page import Page
+from midstride.foreign.preloading import StartedPrograms
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.generate.project import project
 from midstride.lang.load import load
@@ -232,7 +233,7 @@ def test_whatever_keeps_a_node_from_being_loaded_is_said_at_once(error: Exceptio
 
         folder, transport = tmp_path / "gates", SocketFolder(tmp_path / "components")
         nodes = ForeignNodes(folder, transport, lambda _: None, load=load, failed=note)
-        _, record = await nodes.prepare(launch, component, "/robot1/talker", {})
+        _, record = await nodes.prepare(launch, component, "/robot1/talker", StartedPrograms((), {}))
         request = LoadRequest("/robot1/talker_container", "demo", "demo::Talker", "/robot1/talker")
         await nodes.started(record, Handle("robot1/talker", 1), request)
         await asyncio.wait_for(failed.wait(), 60)
@@ -252,7 +253,7 @@ def test_the_page_of_a_node_is_prepared_before_it_starts(
     async def scenario() -> None:
         nodes = ForeignNodes(tmp_path / "gates", SocketFolder(tmp_path / "components"), lambda _: None)
         base = {"XDG_CACHE_HOME": str(gate_library.parents[1]), "PATH": "/usr/bin:/bin", "LD_PRELOAD": "/lib/other.so"}
-        variables, record = await nodes.prepare(launch, component, "/robot1/talker", base)
+        variables, record = await nodes.prepare(launch, component, "/robot1/talker", StartedPrograms((), base))
         assert variables["LD_PRELOAD"] == f"{gate_library}:/lib/other.so"
         assert record.topics == {"out": "/chat", "log": "/robot1/talker/log"}
         page = Page(Path(variables["MIDSTRIDE_GATE_PAGE"]), gate_library)

@@ -406,13 +406,13 @@ def test_a_process_has_its_prefix_and_environment_and_a_package_executable_is_st
         </node>
         <node pkg="p" exec="b" name="b"><env name="LD_PRELOAD" value="libx.so"/></node>""",
     )
-    assert kinds(found) == ["package", "unsupported"]
+    assert kinds(found) == ["package"]
     components = specification(found, tmp_path).components
     assert {
         name: (each.run, each.package, each.prefix, dict(each.environment)) for name, each in components.items()
     } == {
-        "A": ("./a", None, "nice -n 5", {"MODE": "a b"}),
-        "B": ("b", "p", None, {"MODE": "a b"}),
+        "A": ("./a", None, "nice -n 5", {"MODE": "a b", "LD_PRELOAD": ""}),
+        "B": ("b", "p", None, {"MODE": "a b", "LD_PRELOAD": "libx.so"}),
     }
     assert found.text.count("use_sim_time = true") == 2
 

@@ -28,6 +28,7 @@ from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
 from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, STATE_TIMEOUT, NodeLifecycle
 from midstride.foreign.node import WATCH, ForeignNode, of_topics, without_ports
+from midstride.foreign.preloading import why_unseen
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.replaced_node import lacks
 from midstride.foreign.reported_states import ReportedStates
@@ -246,11 +247,16 @@ class ForeignAgent:
                 break
             if now - since < SETTLED:
                 continue
-            if self._declared.unseen(list(found), missing):
+            if self._declared.unseen(list(found), missing) or self._never_seen(now - begun):
                 break
             if all(self._declared.misnamed(list(found), port) for port in missing) and await self._answers():
                 break
         return gates.missing()
+
+    def _never_seen(self, ran: float) -> bool:
+        """Whether it is certain, ``ran`` s after its start, that the library sees nothing of the process."""
+        unseen, takes = why_unseen(self.node.record.pid), self.node.component.startup_seconds or 0.0
+        return unseen is not None and unseen.settled is not None and ran >= unseen.settled + takes
 
     async def _answers(self) -> bool:
         if self._services is None:
@@ -275,9 +281,12 @@ class ForeignAgent:
             await self.node.comes_true(lambda: declared.shown(graph()), GRAPH_TIMEOUT, every=WATCH)
         found = graph()
         past = declared.unseen(found, missing)
-        faults = declared.unseen_in_words(past)
+        unseen = why_unseen(self.node.record.pid) if missing else None
+        why = None if unseen is None else unseen.why
+        faults = declared.unseen_in_words(past, why)
         whole = waited if waited >= endpoints_seconds(self.node.component) else None
-        faults += declared.lacking(found, [port for port in missing if port not in past], whole)
+        absent = declared.lacking(found, [port for port in missing if port not in past], whole)
+        faults += absent if why is None else [f"{fault}; {why}" for fault in absent]
         faults += declared.differences(found)
         self._failed = "; ".join(faults) or None
         return []

@@ -146,13 +146,16 @@ class DeclaredEndpoints:
         there = {(endpoint.output, endpoint.topic) for endpoint in found}
         return [port for port in missing if (self.component.has_output(port), self.topics[port]) in there]
 
-    def unseen_in_words(self, ports: Sequence[str]) -> list[str]:
-        """For each of these ports, why `gate preload` is of no use, and what is."""
+    def unseen_in_words(self, ports: Sequence[str], why: str | None = None) -> list[str]:
+        """For each of these ports, why `gate preload` is of no use, and what is; ``why``, where more is known."""
         component, topics, node = self.component, self.topics, self.node
+        why = why or (
+            f"the program does so without rcl, or it could not load the library; declare {component.name} with "
+            "`gate relay`"
+        )
         return [
             f"node {node} {'publishes on' if component.has_output(port) else 'subscribes to'} {topics[port]}, and the "
-            "library of `gate preload` does not see it: the program does so without rcl, or it could not load the "
-            f"library (it is statically linked, for example); declare {component.name} with `gate relay`"
+            f"library of `gate preload` does not see it: {why}"
             for port in ports
         ]
 

@@ -156,7 +156,7 @@ MODEL: Final = (
         _component('  run component "demo::Talker" package "demo" in "./box" gate preload\n'),
         _component('  run component "demo::Talker" package "demo" in "box" package "my boxes" gate preload\n'),
         _component('  run "talker" prefix ""\n'),
-        _component('  run "talker"\n  environment { LD_PRELOAD = "libx.so" }\n'),
+        _component('  run "talker"\n  environment { MIDSTRIDE_NODE = "talker" }\n'),
     ),
     _entry(
         "E010: M1: the last mode assumes something",

@@ -142,7 +142,7 @@ class NodeElements(ElementAttributes):
         except UnknownValue as error:
             self.findings.add(error.kind, f"a process in Python is left out: {error}", span)
             return
-        environment = dict(self._usable({**context.variables_set, **found["environment"]}, span))
+        environment = {**context.variables_set, **found["environment"]}
         if found["cleared"]:
             environment = {name: value for name, value in environment.items() if value is not None}
             message = f"`{node.role}` keeps the other variables of its environment, of which `env` would clear it"
@@ -328,7 +328,7 @@ class NodeElements(ElementAttributes):
         self._add(
             replace(
                 node,
-                environment=dict(self._usable(variables, entity.span)),
+                environment=variables,
                 prefix=tuple(self._prefix(entity, node, context)),
                 respawn=self._respawn(entity, context),
                 stop=tuple(self._stop(entity, context)),
@@ -381,14 +381,6 @@ class NodeElements(ElementAttributes):
             kind = error.kind if isinstance(error, UnknownValue) else "unsupported"
             self.findings.add(kind, f"`launch-prefix` of `{node.role}` is left out: {error}", entity.span)
             return []
-
-    def _usable(self, variables: Mapping[str, str | None], span: Span) -> Iterator[tuple[str, str | None]]:
-        for name, value in variables.items():
-            if name != "LD_PRELOAD":
-                yield name, value
-            elif value:
-                message = "`LD_PRELOAD` is left out: the library with the gate is loaded by it"
-                self.findings.add("unsupported", message, span)
 
     def _respawn(self, entity: Entity, context: Context) -> LaunchedRespawn | None:
         if "respawn" not in entity.attributes or not typed_truth(self.text(entity, "respawn", context)):

@@ -98,13 +98,9 @@ def _component_names(component: ComponentSpec, path: SubjectPath) -> Iterator[Pr
         if component.run is None:
             yield Problem("E009", (*path, "prefix"), "a prefix is stated without a command", "name it: `run`")
     for name in sorted(component.environment):
-        if name in _GIVEN or name.startswith("MIDSTRIDE_"):
+        if name.startswith("MIDSTRIDE_"):
             message = f"`{name}` of the environment is set by Midstride itself"
             yield Problem("E009", (*path, "environment", name), message, "remove it")
-
-
-# What a process cannot be given: Midstride's gate is loaded by it.
-_GIVEN: Final = frozenset({"LD_PRELOAD"})
 
 
 def _repeated(names: Sequence[str]) -> list[str]:

@@ -45,6 +45,7 @@ from midstride.backends.ros2.manager.topic_listener import RosListener
 from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.page import GATES_FOLDER, Page
+from midstride.foreign.preloading import StartedPrograms
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import KILL_AT_ONCE, ROS_PARAMETERS, ComponentSpec, StopTimes
 from midstride.model.contract import Predicate
@@ -148,29 +149,31 @@ class Ros2Backend(ProcessBackend, Backend):
         except asyncio.TimeoutError:
             log.error("ROS 2 has not let the manager's node go within %g s; it is left behind", _LEAVE)
 
-    def _program(self, launch: Launch, settings: dds_profiles.DdsSettings) -> tuple[tuple[str, ...], dict[str, str]]:
-        """The command with its program found, and the environment that any program gets. Raises StartFailed."""
+    def _program(self, launch: Launch, settings: dds_profiles.DdsSettings) -> tuple[tuple[str, ...], StartedPrograms]:
+        """The command with its program found, and what it starts, with its environment. Raises StartFailed."""
         program, *rest = launch.arguments
+        libraries = []
         if launch.load is not None and launch.foreign is not None:
-            component_library(launch.foreign.package or "", launch.load.plugin, os.environ)
+            libraries = [component_library(launch.foreign.package or "", launch.load.plugin, os.environ)]
         if launch.package is None:
             command = processes.command(launch.arguments, launch.directory, os.environ, self._python)
         else:
             command = (executable(launch.package, program, os.environ), *rest)
         base = processes.surroundings(launch, os.environ)
         environment = launching.environment(launch, self._control, command[0], settings, base)
-        return processes.prefixed(launch, command, os.environ), environment
+        whole = processes.prefixed(launch, command, os.environ)
+        return whole, StartedPrograms.of(whole, len(launch.prefix), environment, libraries)
 
     def describe(self, launch: Launch) -> DescribedProcess:
-        command, environment = self._program(launch, dds_profiles.of_this_process(enabled=self._set_middleware))
-        component = launch.foreign
+        command, programs = self._program(launch, dds_profiles.of_this_process(enabled=self._set_middleware))
+        component, environment = launch.foreign, dict(programs.environment)
         files: dict[str, str] = {}
         request: LoadRequest | None = None
         if component is not None and (not component.once or _is_ros_node(launch)):
             name = _name_once(launch)
             if not component.once:
                 name = self._foreign_nodes.start_name(launch, component, lambda _: False)
-            arguments, environment, files = self._arguments.describe(launch, component, name, environment)
+            arguments, environment, files = self._arguments.describe(launch, component, name, programs)
             command = (*command, *arguments)
             request = self._arguments.load_request(launch, component, name)
         load = () if request is None else request.command()
@@ -179,7 +182,8 @@ class Ros2Backend(ProcessBackend, Backend):
     async def start(self, launch: Launch) -> Handle:
         own_name = full_name(launch.instance, launch.namespace)
         node = full_name(launch.node or launch.instance, launch.namespace)
-        command, environment = self._program(launch, self.settings)
+        command, programs = self._program(launch, self.settings)
+        environment = dict(programs.environment)
         graph = self._joined()
         if launch.load is not None:
             component_containers.require_interfaces()
@@ -222,7 +226,7 @@ class Ros2Backend(ProcessBackend, Backend):
                 graph.starts(start_name.full)
             return await self._start_relay(launch, launch.foreign, start_name, command, environment)
         environment, record = await self._foreign_nodes.prepare(
-            launch, launch.foreign, start_name.full or own_name, environment
+            launch, launch.foreign, start_name.full or own_name, programs
         )
         record = msgspec.structs.replace(record, unnamed=not start_name.passed)
         try:

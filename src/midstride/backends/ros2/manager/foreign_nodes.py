@@ -21,7 +21,13 @@ from midstride.backends.ros2.manager.component_containers import LoadRequest, co
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
 from midstride.backends.ros2.manager.parameter_file import parameter_file
 from midstride.backends.ros2.manager.process_nodes import AskedProcess
-from midstride.backends.ros2.manager.start_arguments import ENV_NODE, ENV_PAGE, StartArguments, enclave_for
+from midstride.backends.ros2.manager.start_arguments import (
+    ENV_NODE,
+    ENV_PAGE,
+    StartArguments,
+    enclave_for,
+    loads_library,
+)
 from midstride.backends.ros2.names import InstanceNode, system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
@@ -36,6 +42,7 @@ from midstride.foreign.lifecycle_outputs import LifecyclePeers
 from midstride.foreign.node import of_services, of_topics
 from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
 from midstride.foreign.page import PAGE, Page, kept_results
+from midstride.foreign.preloading import PRELOAD, StartedPrograms
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.foreign.reported_states import ReportedStates
@@ -144,17 +151,18 @@ class ForeignNodes:
         return None if record.index is None or self._page is None else self._page.mark(record.index)
 
     async def prepare(
-        self, launch: Launch, component: ComponentSpec, node: str, environment: Mapping[str, str]
+        self, launch: Launch, component: ComponentSpec, node: str, started: StartedPrograms
     ) -> tuple[dict[str, str], ForeignRecord]:
         """The environment of the process, and its record, still without the process. Raises StartFailed, BackendError.
 
-        ``node`` is the full name of its ROS node.
+        ``node`` is the full name of its ROS node; ``started``: what its command starts.
         """
+        environment = started.environment
         await asyncio.gather(*self._closing)  # the name may be that of one that has just ended
         topics, index, variables = topics_of(component, node, launch.topics), None, dict(environment)
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if (opened := await self._opened_for(component, environment)) is not None:
-            page, library = opened
+        if loads_library(launch, component, started):
+            page, library = await self._opened(environment)
             index = page.allocate(launch.instance)
             old = self._agents.get(launch.predecessor)
             before = None if old is None else old.node.record.index
@@ -162,8 +170,7 @@ class ForeignNodes:
                 Gates(page, index, of_topics(component)).prepare(topics, before)
             else:
                 Gates(page, index, of_services(component)).prepare_requests(before)
-            preloaded = environment.get("LD_PRELOAD", "")
-            variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
+            variables[PRELOAD] = started.preloaded(library)
             variables |= {ENV_PAGE: str(page.path.absolute()), ENV_NODE: str(index)}
         record = ForeignRecord(
             instance=launch.instance,
@@ -252,15 +259,6 @@ class ForeignNodes:
             return
         self._relays(instance, order)
         self._unfound.discard(instance)
-
-    async def _opened_for(self, component: ComponentSpec, environment: Mapping[str, str]) -> tuple[Page, Path] | None:
-        """The page and the library of the process of a ``component``; None where it has none. Raises BackendError.
-
-        A node of which only the services need the library goes without it where it cannot be compiled.
-        """
-        if component.preloads or (component.loads_library and build.is_available(environment)):
-            return await self._opened(environment)
-        return None
 
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)

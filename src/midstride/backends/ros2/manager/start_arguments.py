@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace as replaced
 from pathlib import Path
 from typing import Final
@@ -12,9 +11,11 @@ from midstride.backends.ros2.manager.component_containers import LoadRequest, co
 from midstride.backends.ros2.manager.own_names import StartName, enclave_of
 from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, parameters_text, write_parameters
 from midstride.backends.ros2.names import system_tag
+from midstride.errors import StartFailed
 from midstride.foreign import build
 from midstride.foreign.mode_parameters import typed
 from midstride.foreign.page import PAGE
+from midstride.foreign.preloading import PRELOAD, StartedPrograms
 from midstride.foreign.relayed_program import private_topics
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name, split_name
@@ -33,21 +34,20 @@ class StartArguments:
         self._folder = folder
 
     def describe(
-        self, launch: Launch, component: ComponentSpec, name: StartName, environment: Mapping[str, str]
+        self, launch: Launch, component: ComponentSpec, name: StartName, started: StartedPrograms
     ) -> tuple[list[str], dict[str, str], dict[str, str]]:
         """Describe a start: the arguments behind the command, the environment, and the file of the parameters.
 
-        Nothing is written.
+        ``started``: what the command starts. Nothing is written. Raises StartFailed.
         """
         node = name.full or full_name(launch.instance, launch.namespace)
         if component.gate == "relay":
             topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
             launch = replaced(launch, topics=topics)
-        path, variables = parameter_file(self._folder.absolute(), launch.instance), dict(environment)
+        path, variables = parameter_file(self._folder.absolute(), launch.instance), dict(started.environment)
         text = parameters_text(launch.sections, name.full or ALL, self._values(launch, component, name))
-        if component.preloads or (component.loads_library and build.is_available(environment)):
-            preloaded, library = environment.get("LD_PRELOAD", ""), build.library_path(environment)
-            variables["LD_PRELOAD"] = f"{library}:{preloaded}" if preloaded else str(library)
+        if loads_library(launch, component, started):
+            variables[PRELOAD] = started.preloaded(build.library_path(started.environment))
             variables |= {ENV_PAGE: str((self._folder / PAGE).absolute()), ENV_NODE: GIVEN_AT_THE_START}
         enclave = GIVEN_AT_THE_START if component.unnamed else ""
         arguments = ros_arguments(launch, component, name, path if text else None, enclave)
@@ -88,6 +88,20 @@ class StartArguments:
             values | self._values(launch, component, name),
             launch.load.extra,
         )
+
+
+def loads_library(launch: Launch, component: ComponentSpec, started: StartedPrograms) -> bool:
+    """Whether the process gets the library of the gate. Raises StartFailed where it needs it, and cannot load it.
+
+    A node of which only the services need the library goes without it where it cannot be had, or loaded.
+    """
+    if not component.loads_library:
+        return False
+    available = build.is_available(started.environment)
+    why = started.why_not(build.library_path(started.environment) if available else None)
+    if component.preloads and why is not None:
+        raise StartFailed(f"{launch.instance} cannot have a gate in its process: {why}")
+    return component.preloads or (available and why is None)
 
 
 def enclave_for(launch: Launch, component: ComponentSpec) -> str:
