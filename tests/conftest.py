@@ -14,6 +14,7 @@ import os
 import shutil
 import signal
 import socket
+import sys
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -47,6 +48,15 @@ os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "midstr
 
 # In this process and in the managers that tests start, a state that changes as it must not raises.
 os.environ["MIDSTRIDE_STRICT_TRANSITIONS"] = "1"
+
+# Files of compiled code are told from older ones by whole seconds, and tests change programs more often than that. The
+# tests themselves are compiled to such files until they have been collected.
+os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+
+
+def pytest_collection_finish() -> None:
+    sys.dont_write_bytecode = True
+
 
 # Processes that tests start are ended with SIGINT as well, which a script's background job ignores, and so do its
 # children.

@@ -112,13 +112,27 @@ def test_only_what_is_in_quarantine_runs_again(
     monkeypatch.chdir(tmp_path)
     bare = ["--disable-plugin-autoload", "-p", "xdist.plugin", "-c", os.devnull, "--rootdir", str(tmp_path)]
     suite = suites.Suite("one", ["env"], [*bare, "test_it.py"])
-    suites.run_all([suite])
+    suites.run_all([[suite]])
     assert (suite.status, suite.ends()) == (1, {"passed": 1, "failed": 1})
     again = suites.run_quarantined_again([suite])
     assert again == (["one: test_it.py::test_fails_once (It fails once.)"] if listed else [])
     assert suite.has_passed is listed and suite.rounds == (2 if listed else 1)
     assert suite.ends() == ({"passed": 2} if listed else {"passed": 1, "failed": 1})
     assert "once" in capsys.readouterr().out
+
+
+def test_suites_run_at_once_but_for_those_of_one_list() -> None:
+    chosen = [suites.Suite(name, ["true"]) for name in ("waiting", "computing", "kilted", "ros1", "make lint")]
+
+    def names(markers: str) -> list[list[str]]:
+        return [[suite.name for suite in several] for several in suites.order(chosen, markers)]
+
+    every = [suite.name for suite in chosen]
+    assert names("not full and not long") == [[name] for name in every]
+    assert names("not long") == [["waiting"], ["computing"], ["kilted", "ros1"], ["make lint"]]
+    assert names("long") == [every]
+    suites.run_all(suites.order(chosen, "not long"))
+    assert all(suite.has_passed for suite in chosen)
 
 
 @pytest.mark.ros2

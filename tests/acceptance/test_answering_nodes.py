@@ -102,7 +102,10 @@ def by_input(robot: Robot) -> list[str]:
     return [words for words in found if words.endswith("between two messages: each was answered by one of them")]
 
 
-@pytest.mark.parametrize("rate", ["", " @ 180 Hz"], ids=["without a rate", "with a rate"])
+@pytest.mark.parametrize(
+    "rate",
+    [pytest.param("", id="without a rate"), pytest.param(" @ 180 Hz", id="with a rate", marks=pytest.mark.long)],
+)
 def test_each_message_is_answered_once(tmp_path: Path, rate: str) -> None:
     path = system(tmp_path, rate)
 
