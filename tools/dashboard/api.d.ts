@@ -167,7 +167,7 @@ declare namespace Api {
     recovery?: boolean;
   }
 
-  /** What happened during a change; times in unix seconds. ``modes``: of its nodes, and of all that was lowered. */
+  /** The course of a change; times in unix seconds. ``modes``: of its nodes, and of all that was lowered. */
   interface ChangeTimeline {
     since: number;
     until: number;
@@ -390,7 +390,7 @@ declare namespace Api {
     serves: boolean | null;
   }
 
-  /** What happened: numbered from 1, at a time (unix seconds), its kind, in words, with the details of that kind. */
+  /** An event: numbered from 1, at a time (unix seconds), its kind, in words, with the details of that kind. */
   interface Event {
     n: number;
     at: number;
@@ -540,7 +540,7 @@ declare namespace Api {
     damaged: string | null;
   }
 
-  /** What happened besides, such as an instance that exited. */
+  /** An event besides changes, such as an instance that exited. */
   interface Incident {
     at: number;
     kind: string;
@@ -659,7 +659,7 @@ declare namespace Api {
     holds_recovery?: boolean;
   }
 
-  /** What a back end sets in the environment of the processes that it starts, and what it leaves as set. */
+  /** The variables of the middleware that a back end sets for the processes it starts, and those it leaves. */
   interface Middleware {
     name: string;
     set: Record<string, string>;
@@ -1142,7 +1142,7 @@ declare namespace Api {
     lifespan_seconds?: number;
   }
 
-  /** What came of the seeds, as `midstride simulate --json` prints it. */
+  /** The results of the seeds, as `midstride simulate --json` prints them. */
   interface Rehearsal {
     seeds: number;
     /** how often the change ended in each way */
@@ -1153,7 +1153,7 @@ declare namespace Api {
     failed: RehearsedSeed[];
   }
 
-  /** What came of one seed: the invariants that it violates, and how the change and its recovery ended. */
+  /** The result of one seed: the invariants that it violates, and how the change and its recovery ended. */
   interface RehearsedSeed {
     seed: number;
     problems: string[];
@@ -1190,7 +1190,7 @@ declare namespace Api {
     required: string[];
   }
 
-  /** What changes require of a topic, and whether it holds now; what is unknown does not hold. */
+  /** A requirement for changes of a topic, and whether it holds now; what is unknown does not hold. */
   interface RequirementStatus {
     /** as the specification states it */
     requirement: string;
@@ -1220,7 +1220,7 @@ declare namespace Api {
     fallback?: string;
   }
 
-  /** What the restart policy of a crashed node comes to: how many of its restarts are used up, and what is next. */
+  /** The state of the restart policy of a crashed node: how many of its restarts are used up, and what is next. */
   interface RespawnStatus {
     /** false: its restarts are used up */
     restarting: boolean;

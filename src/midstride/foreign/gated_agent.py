@@ -308,7 +308,7 @@ class ForeignAgent:
         served, gates = self._served, self.node.gates
 
         def ready() -> bool:
-            """Whether it is a lifecycle node, or a plain one that has made its endpoints."""
+            """Return whether it is a lifecycle node, or a plain one that has made its endpoints."""
             return served().has_lifecycle or (
                 gates is not None and bool(gates.component.ports()) and not gates.missing()
             )

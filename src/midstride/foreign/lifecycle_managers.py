@@ -55,7 +55,7 @@ def reason_to_stay(node: str, manager: LifecycleManager, parameters: Mapping[str
 
 
 class LifecycleManagers:
-    """What is known of the lifecycle managers of a system. ``services(node)``: what a node can be asked."""
+    """The lifecycle managers of a system, as far as they are known. ``services(node)``: what a node can be asked."""
 
     def __init__(self, services: Callable[[str], NodeServices | None]) -> None:
         self._services = services

@@ -1,4 +1,4 @@
-"""Whether a node without ports that is to replace another one is up: the graph shows of it what it shows of that."""
+"""The check that a node without ports which replaces another one is up: the graph shows of it what it shows of that."""
 
 from __future__ import annotations
 

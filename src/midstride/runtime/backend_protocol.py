@@ -83,9 +83,10 @@ class Handle:
 
 @dataclass(frozen=True, slots=True)
 class DescribedProcess:
-    """What a process would be started with: its command, the variables of its environment that differ from this
-    process's (None: not inherited), and the texts of the files that would be written for it. ``load``: the command that
-    would load the composable node into it, as one could type it."""
+    """The start of a process, described: its command, the variables of its environment that differ from this process's
+    (None: not inherited), and the texts of the files that would be written for it. ``load``: the command that would
+    load the composable node into it, as one could type it.
+    """
 
     command: tuple[str, ...]
     environment: dict[str, str | None] = field(default_factory=dict)
@@ -187,7 +188,7 @@ class Endpoints:
 
 
 class HeardMessage(NamedTuple):
-    """What is known of the last message on a topic that the manager listens to.
+    """The last message, as far as it is known, on a topic that the manager listens to.
 
     ``at``: when it arrived (steady s); None where none has, or the publisher that wrote it is gone. ``unmet``: the
     fields that do not meet what is assumed, with their values. ``publishers``: how many there are now. ``problem``: why
@@ -229,7 +230,10 @@ class Backend(Protocol):
         """Leave the platform; components keep running."""
 
     def describe(self, launch: Launch) -> DescribedProcess:
-        """What :meth:`start` would start, also before ``open``; nothing is started or written. Raises StartFailed."""
+        """Describe the process that :meth:`start` would start, also before ``open``; nothing is started or written.
+
+        Raises StartFailed.
+        """
 
     async def start(self, launch: Launch) -> Handle:
         """Start a component's process; it listens on its control address later. Raises StartFailed."""
@@ -258,7 +262,7 @@ class Backend(Protocol):
         return 0
 
     def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
-        """Whether a command can be run in one of them, in ``directory``; others get a new process."""
+        """Return whether a spare process can run a command in ``directory``; others get a new process."""
         return False
 
     async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
@@ -269,7 +273,7 @@ class Backend(Protocol):
         """
 
     def is_stopped(self, instance: str) -> bool:
-        """Whether the process of a started component is stopped (SIGSTOP), so that nothing in it runs."""
+        """Return whether the process of a started component is stopped (SIGSTOP), so that nothing in it runs."""
 
     def disconnected(self, instance: str) -> None:
         """A component that was started by hand has exited, as its control connection shows."""

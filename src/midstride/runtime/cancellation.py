@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 async def run_to_completion(work: Coroutine[Any, Any, T], on_cancel: Callable[[], object]) -> T:
-    """What ``work`` returns or raises, also where the caller is cancelled meanwhile: then ``on_cancel`` is called.
+    """Carry ``work`` to its end, also where the caller is cancelled meanwhile: then ``on_cancel`` is called.
 
     The cancellation has no other effect: ``on_cancel`` must cut short what comes afterwards.
     ``asyncio.shield`` protects the work only, not the caller, which would go on without its result.

@@ -1,4 +1,4 @@
-"""What `midstride up` was given for every process of a system; its next manager keeps to it."""
+"""The options of `midstride up` for every process of a system; its next manager keeps to it."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class RunningSystem:
     exported: dict[str, LeftState] = field(default_factory=dict)
 
     def has_instance(self, role: str) -> bool:
-        """Whether an instance has that role: it answers requests until its successor is to."""
+        """Return whether an instance has that role: it answers requests until its successor is to."""
         return bool(self.configuration.instances_by_role.get(role))
 
     def live_instance(self, node: str) -> str:
@@ -58,7 +58,7 @@ class RunningSystem:
         return role if role in self.specification.nodes else None
 
     def remedy(self, role: str) -> str:
-        """What to do about a role whose instance has exited, or no longer does what it should."""
+        """The remedy for a role whose instance has exited, or no longer does what it should."""
         by_hand = self.specification.component_of(role).run is None
         return f"{'start it, then ' if by_hand else ''}`midstride restart {role}` restores it"
 

@@ -1,4 +1,4 @@
-"""What each action of the model does on live components.
+"""Each action of the model, carried out on live components.
 
 An action is done when every component concerned has acknowledged it. If it fails, its partial effects are undone on
 each component that can be reached.
@@ -190,7 +190,9 @@ class ActionDriver:
         return sorted(self.change.leaving.intersection(action.instances()) - self.system.life.fenced.keys())
 
     async def _own_degradations(self, action: Action) -> list[str]:
-        """What degraded by itself in the instances of ``action``: the root cause of whatever they refused."""
+        """Degradations in the instances of ``action`` that no command asked for: the root cause of whatever they
+        refused.
+        """
         found = []
         expected = action.modes if isinstance(action, Degrade) else {}
         for name in sorted(action.instances()):
@@ -325,7 +327,7 @@ class ActionDriver:
             self.events.add("note", f"{new} keeps its own state: {because}")
 
     def _has_endpoint(self, port: PortRef, connector: str) -> bool:
-        """Whether ``port`` is attached to another connector of the same topic, as while a topic's contract changes.
+        """Return whether another connector of the same topic has ``port``, as while a topic's contract changes.
 
         Components know topics, not connectors.
         """
@@ -473,7 +475,7 @@ class ActionDriver:
             self.events.add("note", f"{port}: unknown whether its last messages on {topic} arrived")
 
     def _relied_on(self, port: PortRef) -> dict[str, Any]:
-        """What the specification states for an input; nothing for an output."""
+        """The bounds that the specification states for an input; none for an output."""
         component = self.configuration.component(port.instance)
         assumption = component.inputs.get(port.port)
         if assumption is None:
@@ -590,7 +592,7 @@ class ActionDriver:
         )
 
     def _rate(self, port: PortRef) -> float:
-        """What an output guarantees (Hz), or 0."""
+        """The rate that an output guarantees (Hz), or 0."""
         return self.configuration.rate(port) or 0.0
 
     async def _carry_parameters(self, old: str, new: str) -> None:

@@ -1,4 +1,4 @@
-"""What a change has kept and lost, from all that was measured of it, as :mod:`midstride.verdicts` says it."""
+"""A change judged by all that was measured of it, in the words of :mod:`midstride.verdicts`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a change of the running system may happen now (docs/protocols/permission.md).
+"""The permission for a change of the running system (docs/protocols/permission.md).
 
 A person may lock the system, for a reason: then no command changes it but `down`. And a specification may state what
 has to hold, as ``changes require``, of topics that the manager listens to. What the manager does without a command,
@@ -33,7 +33,7 @@ _REQUIRED: Final = "`--despite-requirements` changes the system all the same"
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """What a command overrides deliberately, so that it changes the system all the same."""
+    """The reasons against a change that a command overrides deliberately."""
 
     lock: bool = False
     requirements: bool = False
@@ -77,7 +77,7 @@ class ChangePermission:
         return f"{'; '.join(each.words for each in found)}; {_REQUIRED}" if found else None
 
     def overridden(self, override: Override) -> str | None:
-        """What a change with ``override`` ignores now, in words; None if nothing."""
+        """Name in words the reasons against a change that ``override`` ignores now; None if there are none."""
         found = [self._lock.words] if self._lock is not None and override.lock else []
         if override.requirements:
             found += [each.words for each in self.requirements() if not each.holds]
@@ -148,7 +148,7 @@ class ChangePermission:
             return str(error)
 
     def requirements(self) -> list[RequirementStatus]:
-        """What changes require, and whether it holds now."""
+        """Every requirement for changes, and whether it holds now."""
         return list(self._judged())
 
     def _judged(self) -> Iterator[RequirementStatus]:

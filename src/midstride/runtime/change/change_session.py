@@ -300,7 +300,7 @@ class ChangeSession:
         return await run_to_completion(self._recorded(change), change.interrupt)
 
     async def _recorded(self, change: RunningChange) -> Outcome:
-        """What comes of ``change``; with its timeline also in the journal."""
+        """The outcome of ``change``; the journal gets it too, with its timeline."""
         since, before = time.time(), self.events.last
         modes = self._mode_recorder(change)
         self.client.listeners.append(modes.on_component_event)
@@ -324,7 +324,7 @@ class ChangeSession:
         return outcome
 
     def _endpoints(self) -> dict[str, list[Endpoint]]:
-        """What the running components with the API have besides their ports, by instance."""
+        """By instance, the endpoints that the running components with the API have besides their ports."""
         return {name: self.client.endpoints(name) for name in self.system.configuration.instances}
 
     def _mode_recorder(self, change: RunningChange) -> ModeRecorder:
@@ -464,7 +464,7 @@ class ChangeSession:
         return _Execution(ended, round(ended - started, 6), timer.stop(), executor.times)
 
     async def _measure(self, driver: ActionDriver, execution: _Execution) -> list[SwapReport]:
-        """What each subscriber has seen, once it has been watched for long enough after the last step."""
+        """Report what each subscriber has received, once it has been watched for long enough after the last step."""
         change, recording = driver.change, driver.change.recording
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")

@@ -512,7 +512,7 @@ def _programs_last(actions: Sequence[Action]) -> frozenset[int]:
 
 
 def _estimates(action: Action, configuration: Configuration, actions: Sequence[Action]) -> str | None:
-    """What the duration of ``action`` is an estimate of (:meth:`Change.seconds`)."""
+    """The key under which durations like that of ``action`` are estimated (:meth:`Change.seconds`)."""
     match action:
         case Create(instance):  # beside others, a process starts more slowly
             alone = sum(isinstance(each, Create) for each in actions) == 1

@@ -1,4 +1,5 @@
-"""What ends, or is written twice, with an instance that is ended: its services, its calls, its topics without a port.
+"""Whatever ends, or is written twice, with an instance that is ended: its services, its calls, its topics without a
+port.
 
 Of a node without the API, the graph shows these; a component with the API has named them when it registered.
 """
@@ -30,7 +31,7 @@ def lost_endpoints(
     endpoints: Mapping[str, Sequence[Endpoint]],
     unseen: str = "it had just been started",
 ) -> Iterator[verdicts.Assessment]:
-    """What ``plan`` is expected to end.
+    """Assess which services, calls and topics ``plan`` is expected to end.
 
     ``states``: the last reports of the nodes that it removes; ``endpoints``: what they have besides ports. ``unseen``:
     why the graph has shown nothing of a node.
@@ -66,7 +67,9 @@ def _goals_of_ports(
 
 
 def unseen_endpoints(plan: Plan) -> Iterator[verdicts.Assessment]:
-    """What ``plan`` may end of a system that does not run: only the graph shows what a node has besides its ports."""
+    """Assess what ``plan`` may end of a system that does not run: only the graph shows what a node has besides its
+    ports.
+    """
     yield from lost_endpoints(plan, {}, {}, "its services, ROS actions and calls are known once it runs")
     for step in plan.steps:
         if isinstance(step.action, Remove):
@@ -82,7 +85,8 @@ def endpoints_that_ended(
     states: Mapping[str, LatestState],
     together: Mapping[str, float],
 ) -> Iterator[verdicts.Assessment]:
-    """What has ended with ``ended_instances`` while ``plan`` was carried out, also with those that it had created.
+    """Assess what has ended with ``ended_instances`` while ``plan`` was carried out, also with those that it had
+    created.
 
     ``states``: what was known when it began; ``together``: for how long both instances of a role ran (s), by role.
     """
@@ -117,7 +121,7 @@ def what_ended(
     new: str = "it had just been started",
     beside: ComponentSpec | None = None,
 ) -> Iterator[verdicts.Assessment]:
-    """What ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
+    """Assess what ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
     two nodes with the library in their processes, the successor goes on with each service and ROS action; where it has

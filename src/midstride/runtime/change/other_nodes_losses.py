@@ -41,7 +41,7 @@ def would_end_others(ending: Mapping[str, OtherNodes]) -> str | None:
 
 
 def nodes_that_will_end(plan: Plan, ending: Mapping[str, OtherNodes]) -> Iterator[verdicts.Assessment]:
-    """What ``plan`` is expected to do to the nodes that end with an instance."""
+    """Assess the end of other nodes, in the processes that ``plan`` is expected to end."""
     for name, others in sorted(ending.items()):
         successor = plan.change.replaced.get(name)
         for node in others.nodes:
@@ -53,7 +53,7 @@ def nodes_that_will_end(plan: Plan, ending: Mapping[str, OtherNodes]) -> Iterato
 def nodes_that_ended(
     change: RunningChange, ended: Mapping[str, OtherNodes], now: Configuration, others: Mapping[str, OtherNodes]
 ) -> Iterator[verdicts.Assessment]:
-    """What has become of the nodes that have ``ended`` with an instance while ``change`` was carried out.
+    """Assess what has become of the nodes that have ``ended`` with an instance while ``change`` was carried out.
 
     Also with one that it had started itself, and ended in its roll-back. ``others``: the other nodes of all that run.
     """
@@ -78,5 +78,5 @@ def nodes_that_ended(
 
 
 def _is_same(node: OtherNode, other: OtherNode) -> bool:
-    """Whether ``other`` is the node that the new instance has in the place of ``node``."""
+    """Return whether ``other`` is the node that the new instance has in the place of ``node``."""
     return other.namesake if node.namesake else node.name == other.name

@@ -20,7 +20,7 @@ from midstride.wire.commands import SetParametersCommand
 
 @dataclass(slots=True)
 class ParameterSettings:
-    """What the actions that set parameters do in ``change``."""
+    """The actions of ``change`` that set parameters, carried out."""
 
     client: ComponentClient
     system: RunningSystem
@@ -82,7 +82,7 @@ class ParameterSettings:
             self.change.parameters.set_back(instance, done, restored, seconds)
 
     def left_as_set(self, action: SetParameters) -> bool:
-        """Whether there is nothing to set back, as the instance has ended; the next one has the values before."""
+        """Return whether nothing is to be set back, as the instance has ended; the next one has the values before."""
         if not self.system.life.is_gone(action.instance):
             return False
         if (setting := self._settings.get(action.instance)) is not None:
@@ -91,7 +91,7 @@ class ParameterSettings:
 
     @property
     def complete(self) -> bool:
-        """Whether the change has set all the parameters that it sets."""
+        """Return whether the change has set all the parameters that it sets."""
         return self._settings.keys() >= {
             each.instance for each in self.change.actions if isinstance(each, SetParameters)
         }

@@ -88,7 +88,7 @@ class ParameterTransfer:
                 self.unknown[new] = words
 
     def report(self, done: bool) -> list[RuntimeValue]:
-        """What became of each value. Unless the change is ``done``, only of those that are lost nevertheless."""
+        """Report what became of each value. Unless the change is ``done``, only of those that are lost nevertheless."""
         found = [self._found[key] for key in sorted(self._found)]
         return found if done else [value for value in found if value.fate in _OF_A_ROLLED_BACK_CHANGE]
 
@@ -131,7 +131,7 @@ class ParameterTransfer:
         return dict.fromkeys(values, "unknown") if instance.component.gate is not None else {}
 
     def _returns(self, instance: Instance) -> bool:
-        """Whether it ran at the start: it is started again, or goes on, in a roll-back."""
+        """Return whether the instance ran at the start: it is started again, or goes on, in a roll-back."""
         return instance.name in self.change.start.instances
 
     def _kept(self, instance: Instance, values: Values, unknown: Mapping[str, Origin] = _NONE) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What it costs that the state of a node without Midstride's API moves to its replacement: planned, and as measured."""
+"""The cost of moving the state of a node without Midstride's API to its replacement: planned, and as measured."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ LATE: Final = 1.5
 
 
 def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[verdicts.Assessment]:
-    """What waits while ``plan`` moves state, of nodes that offer it. ``states``: what each instance reported last.
+    """Assess what waits while ``plan`` moves the state of nodes that offer it.
+
+    ``states``: what each instance reported last.
 
     Where the old node is removed first, nothing but what the plan says anyway waits.
     """

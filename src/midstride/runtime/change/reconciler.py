@@ -119,14 +119,16 @@ class Reconciler:
                     self._reconcile_soon()
 
     def _answers_again(self, instance: str) -> bool:
-        """Whether it is the first report of a component since one of its functionalities was not degraded in time."""
+        """Return whether this is the first report of a component since one of its functionalities was not degraded in
+        time.
+        """
         found = [ref for ref, error in self.pending.items() if ref.instance == instance and error is not None]
         unanswered = [ref for ref in found if not isinstance(self.pending[ref], CommandRefused)]
         self.pending |= dict.fromkeys(unanswered)
         return bool(unanswered)
 
     def _can_retry(self, state: ComponentState) -> bool:
-        """Whether a functionality that refused to be degraded may accept it now: no call of its code is running."""
+        """Return whether a functionality that refused to degrade may accept it now: no call of its code is running."""
         if self._reconciling.locked() or self.monitor.clock.steady() - self._reconciled_at < REFUSED_INTERVAL:
             return False
         pending = [ref for ref, error in self.pending.items() if isinstance(error, CommandRefused)]

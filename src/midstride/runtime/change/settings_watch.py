@@ -1,4 +1,4 @@
-"""What is watched after a change has set parameters: the contracts of the nodes that have new values, and all modes.
+"""The watch after a change has set parameters, over the contracts of nodes that have new values, and over all modes.
 
 A node may accept a value with which it does not keep what it guarantees, or with which what relies on it degrades: then
 the change is rolled back as a whole (docs/semantics.md section 6).

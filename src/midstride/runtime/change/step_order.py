@@ -37,12 +37,12 @@ class StepOrder:
 
     @property
     def ended(self) -> bool:
-        """Whether no step is left that can be taken, now or later."""
+        """Return whether no step is left that can be taken, now or later."""
         skipped = self._waiting(self._left_out, ())
         return not self.late and all(index in skipped for indices in self.rounds for index in indices)
 
     def leaves(self, indices: Collection[int]) -> bool:
-        """Whether steps are left that need not wait for these, now or later."""
+        """Return whether steps are left that need not wait for these, now or later."""
         waiting = self._waiting({*indices, *self._left_out}, indices)
         return any(index not in waiting for some in self.rounds for index in some)
 
@@ -63,7 +63,7 @@ class StepOrder:
         self._block()
 
     def is_blocked(self, index: int) -> bool:
-        """Whether a step is late, or depends on one that is, or is left out."""
+        """Return whether a step is late, or depends on one that is, or is left out."""
         return index in self._blocked
 
     def _block(self) -> None:

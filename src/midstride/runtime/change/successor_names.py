@@ -21,7 +21,7 @@ from midstride.wire.state import ComponentState
 
 
 def names_after(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[verdicts.Assessment]:
-    """What ``plan`` makes of the names of nodes. ``states``: the last reports of the nodes that it removes."""
+    """Assess which names of nodes ``plan`` changes. ``states``: the last reports of the nodes that it removes."""
     created, removed = steps_of_instances(plan)
     for old, new, state in _pairs(plan, states):
         old_first = removed[old.name] < created[new.name]
@@ -38,7 +38,10 @@ def names_after(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[verdi
 def names_now(
     plan: Plan, states: Mapping[str, LatestState], times: Mapping[int, StepTime]
 ) -> Iterator[verdicts.Assessment]:
-    """What became of them in a change that is done. ``times``: by step, from 1, when it was carried out."""
+    """Assess what became of the names of nodes in a change that is done.
+
+    ``times``: by step, from 1, when it was carried out.
+    """
     created, removed = steps_of_instances(plan)
     for old, new, state in _pairs(plan, states):
         up, end = (times.get(steps[name] + 1) for steps, name in ((created, new.name), (removed, old.name)))
@@ -96,7 +99,7 @@ def _node_of(instance: Instance, state: ComponentState) -> str:
 def _another_name(
     old: Instance, new: Instance, state: ComponentState, *, old_first: bool, planned: bool
 ) -> verdicts.Assessment | None:
-    """What a replacement of another name means; None where it has the name of the old one, or names its node itself.
+    """Assess a replacement of another name; None where it has the name of the old one, or names its node itself.
 
     A component with the API has the name of its role.
     """

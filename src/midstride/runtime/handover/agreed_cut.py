@@ -277,6 +277,6 @@ async def require_same_clock(client: ComponentClient, old: str, new: str) -> Non
 
 
 def written_once(configuration: Configuration, new: PortRef, trigger: TriggerKind) -> bool:
-    """Whether a message of an output may have been written only once, and then behind its gate."""
+    """Return whether a message of an output may have been written only once, and then behind its gate."""
     relayed = configuration.component(new.instance).gate == "relay"
     return trigger == "none" or (relayed and not configuration.rate(new))

@@ -40,7 +40,7 @@ class CutTurns:
         self._given_up.set()
 
     def is_next(self, turn: CutTurn) -> bool:
-        """Whether all are ready, or have ended, and those before ``turn`` have ended."""
+        """Return whether all hand-overs are ready, or have ended, and those before ``turn`` have ended."""
         before = self._turns[: self._turns.index(turn)]
         return all(each.ended for each in before) and all(each.ready or each.ended for each in self._turns)
 

@@ -85,7 +85,7 @@ class Fences:
         return StepBudget(self.client, instances, self.now() + self.wait)
 
     def hangs_already(self, instance: str) -> bool:
-        """Whether it reports a call that has been running for longer than this change would wait."""
+        """Return whether the instance reports a call that has been running for longer than this change would wait."""
         state = self.client.life.responsive(instance)
         return state is not None and any((each.busy or 0.0) > self.wait for each in state.functionalities.values())
 

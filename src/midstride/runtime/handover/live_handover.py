@@ -325,7 +325,7 @@ class LiveHandover:
         return last
 
     async def _publishes(self, cut: Cut) -> bool:
-        """Whether the new side of ``cut`` has published, or will at the agreed moment."""
+        """Return whether the new side of ``cut`` has published, or will at the agreed moment."""
         try:
             incoming = await self.client.read(cut.new, self._await_cut(cut))
             if incoming.outcome == "done":
@@ -335,7 +335,10 @@ class LiveHandover:
             return False  # it was not sent the cut
 
     async def _has_exited(self, instance: str) -> bool:
-        """Whether its process has exited. A connection that has just closed may not be known to be yet."""
+        """Return whether the process of ``instance`` has exited.
+
+        A connection that has just closed may not be known to be yet.
+        """
         for _ in range(EXIT_ATTEMPTS):
             if self.client.life.is_gone(instance):
                 return True

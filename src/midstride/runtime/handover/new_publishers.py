@@ -128,7 +128,7 @@ class NewPublishers:
         self._proved.append(swap)
 
     async def waits_for(self, instance: str) -> str:
-        """What the component waits for, if anything, as the end of a sentence."""
+        """Name what the component waits for, if anything, as the end of a sentence."""
         with contextlib.suppress(MidstrideError):
             if (waiting := (await self.client.peek(instance)).waiting) is not None:
                 return f": {waiting}"

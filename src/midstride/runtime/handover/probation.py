@@ -53,7 +53,8 @@ Passed: TypeAlias = Literal["writes", "quiet"]
 
 @dataclass(slots=True)
 class Probation:
-    """What the new publisher of ``swap`` shows behind its gate; ``rate`` is what it guarantees (Hz), 0 where nothing.
+    """The probation of the new publisher of ``swap`` behind its gate; ``rate`` is its guarantee (Hz), 0 where it has
+    none.
 
     ``latched``: late subscribers get its last message. ``timing`` is that of the specification; ``rates``: whether it
     must keep its rate. ``waits_for`` says what a component waits for, as the end of a sentence.
@@ -178,7 +179,8 @@ class Probation:
             return None
 
     def _loses_nothing(self, old: int, new: int) -> bool:
-        """Whether it may take over without a message; ``old`` and ``new`` are how many the sides have ever written.
+        """Return whether the new side may take over without a message; ``old`` and ``new`` are how many the sides have
+        ever written.
 
         Of an output whose last message late subscribers get, the new side needs one where the old side has one, unless
         the specification states that nothing is waited for.

@@ -32,7 +32,7 @@ BULK_TIMEOUT: Final = 30.0
 
 
 def keeps_state(client: ComponentClient, instance: str) -> bool:
-    """Whether the component exports state, as it last reported; it may have exited since."""
+    """Return whether the component exports state, by its last report; it may have exited since."""
     return client.life[instance].keeps_state
 
 
@@ -67,7 +67,7 @@ def has_left_state(instance: Instance) -> str:
 
 
 def moved_in_words(old: str, new: str, state: MovedState) -> str:
-    """What moved from ``old`` to ``new``, nodes without Midstride's API, and what waited for it."""
+    """Describe the state that moved between two nodes without Midstride's API, and what waited for it."""
     silent = "" if state.silent is None else f"nothing was published for {seconds_in_words(state.silent)}, and "
     held = f"requests were held for {seconds_in_words(state.held)}"
     return f"the state of {old} ({counted(state.bytes, 'byte')}) moved to {new}: {silent}{held}"

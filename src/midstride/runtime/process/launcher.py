@@ -72,7 +72,7 @@ def stop_times(component: ComponentSpec, asked: float = 0.0) -> StopTimes:
 
 @dataclass(frozen=True, slots=True)
 class LastKnown:
-    """What was known of an instance when it was ended: its last report, and what it had besides its ports.
+    """The last that was known of an instance when it was ended: its last report, and what it had besides its ports.
 
     ``endpoints``: as it has named them when it registered; a node without Midstride's API has not.
     """
@@ -217,7 +217,7 @@ class Launcher:
             self._last_registration = self._backend.clock.steady()
 
     def takes_spare(self, instance: Instance) -> bool:
-        """Whether the program of ``instance`` can be started in a spare process."""
+        """Return whether the program of ``instance`` can be started in a spare process."""
         try:
             arguments = shlex.split(instance.component.run or "")
         except ValueError:

@@ -28,7 +28,7 @@ def run_begun(line: str) -> str | None:
 
 
 def text_of_latest_run(text: str) -> str:
-    """What follows the last line that begins a run, or all of ``text``."""
+    """The text behind the last line that begins a run, or all of ``text``."""
     lines = text.splitlines(keepends=True)
     begins = [index for index, line in enumerate(lines, 1) if run_begun(line.rstrip("\n")) is not None]
     return "".join(lines[begins[-1] if begins else 0 :])

@@ -54,7 +54,7 @@ class ChangeRecord(Report, frozen=True, kw_only=True):
 
 
 class Incident(Report, frozen=True):
-    """What happened besides, such as an instance that exited."""
+    """An event besides changes, such as an instance that exited."""
 
     at: float
     kind: str

@@ -25,7 +25,7 @@ _VERSIONS = "SELECT before, after FROM changes WHERE number = ?"
 
 
 class ChangeTimeline(Report, frozen=True, kw_only=True):
-    """What happened during a change; times in unix seconds. ``modes``: of its nodes, and of all that was lowered."""
+    """The course of a change; times in unix seconds. ``modes``: of its nodes, and of all that was lowered."""
 
     since: float
     until: float
@@ -80,7 +80,7 @@ def read_report(database: Database, number: int | None) -> ChangeReport | None:
 
 
 def existing(found: ChangeReport | None, number: int | None) -> ChangeReport:
-    """What :func:`read_report` has found. Raises ManagerError where that is nothing."""
+    """The report that :func:`read_report` has found. Raises ManagerError where it has found none."""
     if found is None:
         which = "no change yet" if number is None else f"no change {number}"
         raise ManagerError(f"the history has {which}; `midstride history` lists them")

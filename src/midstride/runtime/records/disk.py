@@ -1,4 +1,5 @@
-"""What a manager leaves on disk for the next one: SQLite databases, which it writes one transaction at a time.
+"""The disk, where a manager leaves records for the next one: SQLite databases, which it writes one transaction at a
+time.
 
 Every durable write of a manager goes through :meth:`Database.write`. So a test or a simulation that gives the manager
 another :class:`Disk` can make a write fail, lose it, or cut it off.
@@ -92,7 +93,7 @@ class Lease:
             raise
 
     def superseded(self, database: Database | None) -> bool:
-        """Whether another manager has taken it, as a look at the database shows, or a write before."""
+        """Return whether another manager has taken the lease, as a look at the database shows, or a write before."""
         if self._acquired and not self._superseded and database is not None:
             self._superseded = database.peek(*self._held) == []
         return self._superseded
@@ -164,7 +165,7 @@ def _connected(path: Path, schema: str) -> sqlite3.Connection:
 
 
 def refused(error: Exception) -> bool:
-    """Whether the disk, or another user of the file, has refused this now; else what is in the file is at fault."""
+    """Return whether the disk, or another user of the file, has refused this now; else the content is at fault."""
     if isinstance(error, sqlite3.OperationalError):
         return not any(words in str(error) for words in _DAMAGE)
     return isinstance(error, OSError)

@@ -208,7 +208,10 @@ class Journal:
         return await asyncio.shield(asyncio.get_running_loop().run_in_executor(self._writer, work))
 
     def _on_database(self, use: Callable[[Database], T]) -> T:
-        """What ``use`` returns. A damaged journal is kept aside. Raises ManagerError, and sets ``unwritten``."""
+        """Use the database, and return the result of ``use``. A damaged journal is kept aside.
+
+        Raises ManagerError, and sets ``unwritten``.
+        """
         try:
             return use(self._open())
         except Superseded:
@@ -252,7 +255,7 @@ class Journal:
 
 
 def _is_damage(error: Exception) -> bool:
-    """Whether the file is damaged: a full disk is no damage, nor a specification that is not valid any more."""
+    """Return whether the file is damaged: a full disk is no damage, nor a specification that is not valid any more."""
     return not refused(error) and not isinstance(error, MidstrideError)
 
 
@@ -312,7 +315,7 @@ class JournalEntry:
             await self.journal.keep_durations(self._durations)
 
     async def measured(self, swaps: Sequence[SwapReport]) -> None:
-        """What subscribers received."""
+        """Note the figures of subscribers."""
         if self.number is not None and swaps:
             form = msgspec.json.encode(list(swaps)).decode()
             await self.journal.write(("UPDATE changes SET swaps = ? WHERE number = ?", (form, self.number)))

@@ -1,4 +1,4 @@
-"""What a subscriber received while a publisher was replaced: gap, missed, lost, duplicates.
+"""The figures of a subscriber while a publisher was replaced: gap, missed, lost, duplicates.
 
 The figures are defined in docs/protocols/measurement.md. The functions are pure. A row is a received message: time of
 receipt (steady clock of the subscriber, ns), source time (ns), sequence number and identity of the publisher. Where the
@@ -49,7 +49,7 @@ def unknown_report(topic: str, subscriber: str, period: float | None) -> SwapRep
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What was recorded at one input between two times of its steady clock (ns).
+    """The messages recorded at one input between two times of its steady clock (ns).
 
     ``last_number`` is the number of the old publisher's last message, and ``first_number`` that of the new one's first,
     as they report them. ``inputs`` are the source times of the messages that a message-driven publisher had to answer,
@@ -124,7 +124,7 @@ def _gap(rows: Sequence[Receipt], begun: int, ended: int) -> float:
 
 
 def _clock_was_set(rows: Sequence[Receipt], ended: int) -> bool:
-    """Whether no transmission explains how far the times of publication are from those of receipt.
+    """Return whether no transmission explains how far the times of publication are from those of receipt.
 
     Then the clock of a publisher was set meanwhile, and its slots mean nothing.
     """
@@ -271,7 +271,7 @@ def _answers(by_side: _Publishers, inputs: Sequence[int]) -> tuple[int, int] | N
 
 
 def _sides(written: dict[str, list[int]]) -> list[list[int]]:
-    """What each publisher wrote, the old one first."""
+    """The messages of each publisher, the old one first."""
     return sorted((own for own in written.values() if own), key=lambda own: own[0])
 
 

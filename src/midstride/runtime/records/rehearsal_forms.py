@@ -1,4 +1,4 @@
-"""What a manager asks of a rehearsal, and what comes of it (:mod:`midstride.simulation.rehearsal`)."""
+"""The order of a manager for a rehearsal, and the result (:mod:`midstride.simulation.rehearsal`)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from midstride.plan.forms.request_form import ChangeRequest
 
 
 class RehearsalOrder(Form, frozen=True, kw_only=True):
-    """What to rehearse: a change of the system of a specification, ``seeds`` of them from ``first`` on.
+    """An order to rehearse a change of the system of a specification, ``seeds`` of them from ``first`` on.
 
     No seed is begun after ``within`` seconds.
     """
@@ -25,7 +25,7 @@ class RehearsalOrder(Form, frozen=True, kw_only=True):
 
 
 class RehearsedSeed(Report, frozen=True):
-    """What came of one seed: the invariants that it violates, and how the change and its recovery ended."""
+    """The result of one seed: the invariants that it violates, and how the change and its recovery ended."""
 
     seed: int
     problems: list[str]
@@ -33,7 +33,7 @@ class RehearsedSeed(Report, frozen=True):
 
 
 class Rehearsal(Report, frozen=True, kw_only=True):
-    """What came of the seeds, as `midstride simulate --json` prints it."""
+    """The results of the seeds, as `midstride simulate --json` prints them."""
 
     seeds: int
     outcomes: Annotated[dict[str, int], Meta(description="how often the change ended in each way")]

@@ -1,4 +1,4 @@
-"""What the manager reports of what it has done, as it goes out in JSON: outcomes, events; and the live configuration.
+"""The reports of the manager, as they go out in JSON: outcomes, events, and the live configuration.
 
 What it says of the running system is in :mod:`.status_forms`. The answers of the HTTP API are instances of these
 classes, and its OpenAPI document describes them. A client ignores fields that it does not know: later versions may add
@@ -193,7 +193,7 @@ def killed_processes(events: Iterable[Event]) -> list[KilledProcess]:
 
 
 class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
-    """What happened: numbered from 1, at a time (unix seconds), its kind, in words, with the details of that kind."""
+    """An event: numbered from 1, at a time (unix seconds), its kind, in words, with the details of that kind."""
 
     n: int
     at: float

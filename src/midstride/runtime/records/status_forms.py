@@ -200,7 +200,7 @@ class InstanceStatus(Report, frozen=True, kw_only=True):
 
 
 class RespawnStatus(Report, frozen=True, kw_only=True):
-    """What the restart policy of a crashed node comes to: how many of its restarts are used up, and what is next."""
+    """The state of the restart policy of a crashed node: how many of its restarts are used up, and what is next."""
 
     restarting: Annotated[bool, Meta(description="false: its restarts are used up")]
     seconds: Annotated[float | None, Meta(description="until the next restart; null: it has begun, or there is none")]
@@ -288,7 +288,7 @@ class ChangeLock(Report, frozen=True, kw_only=True):
 
 
 class RequirementStatus(Report, frozen=True, kw_only=True):
-    """What changes require of a topic, and whether it holds now; what is unknown does not hold."""
+    """A requirement for changes of a topic, and whether it holds now; what is unknown does not hold."""
 
     requirement: Annotated[str, Meta(description="as the specification states it")]
     topic: str
@@ -303,7 +303,7 @@ class RequirementStatus(Report, frozen=True, kw_only=True):
 
 
 class Middleware(Report, frozen=True, kw_only=True):
-    """What a back end sets in the environment of the processes that it starts, and what it leaves as set."""
+    """The variables of the middleware that a back end sets for the processes it starts, and those it leaves."""
 
     name: str
     set: dict[str, str] = {}

@@ -265,6 +265,6 @@ class BringUp:
 
 
 def _runs(handle: Handle) -> bool:
-    """Whether its process runs; False where it is not known."""
+    """Return whether the process of ``handle`` runs; False where it is not known."""
     info = None if handle.pid is None else process_info(handle.pid)
     return info is not None and info.alive and info.started == handle.started

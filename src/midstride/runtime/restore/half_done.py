@@ -111,7 +111,7 @@ def _open(state: ComponentState | None) -> set[str]:
 
 
 def _outputs(state: ComponentState, stays: ComponentState | None) -> Iterator[verdicts.Assessment]:
-    """What is not known of the topics on which the instance wrote until it was ended."""
+    """Assess what is not known of the topics on which the instance wrote until it was ended."""
     wrote, still = _open(state), _open(stays)
     if alone := sorted(wrote - still):
         yield verdicts.handed_back(state.instance, alone, None if stays is None else stays.instance)

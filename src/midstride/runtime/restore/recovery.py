@@ -109,7 +109,7 @@ async def recover(
 
 
 def _is_asked_for(instance: Instance, other: Instance, specification: Specification) -> bool:
-    """Whether of two that are done, of a change that was interrupted, ``instance`` is that of the specification."""
+    """Return whether ``instance``, of two that are done in an interrupted change, is that of the specification."""
     if instance.role not in specification.nodes:
         return False
     wanted = specification.component_of(instance.role)

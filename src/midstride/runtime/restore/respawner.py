@@ -33,7 +33,7 @@ CRASH_LOOP: Final = 2
 
 @dataclass(slots=True)
 class _Record:
-    """What is known of the crashes of one role.
+    """The crashes of one role, as far as they are known.
 
     ``crashes``: what has been decided on. ``due``: when the next restart begins (steady s); ``carrying_out``: its plan
     has begun; ``left``: why there is no next one.
@@ -90,7 +90,7 @@ class Respawner(ReconciliationObserver):
                 self._on_crash(role, record, policy, new[-1].words)
 
     def status(self, role: str | None) -> RespawnStatus | None:
-        """Whether and when the node of that role, which has crashed, is restarted; None without a policy."""
+        """Return whether and when the node of that role, which has crashed, is restarted; None without a policy."""
         record = self._records.get(role or "")
         policy = None if role is None else self._policy(role)
         if record is None or policy is None:

@@ -45,7 +45,7 @@ _REMEDY: Final = "`midstride apply` with the system's file restores it"
 
 @dataclass(slots=True)
 class _Record:
-    """What is known of a functionality that the local reflex has degraded.
+    """The state of a functionality that the local reflex has degraded.
 
     ``fallen``: it has not been restored since; ``conditional``: because of a condition, so that it is restored as
     soon as that holds. ``number``: of the next attempt; ``left``: why there is none.
@@ -131,7 +131,7 @@ class Restorer(ReconciliationObserver):
                 self._look(ref, view)
 
     def _is_fallen(self, ref: FunctionalityRef) -> bool:
-        """Whether the local reflex has degraded it, or it was left out, and the model has followed."""
+        """Return whether the local reflex has degraded ``ref``, or it was left out, and the model has followed."""
         latest, configuration = self.client.life.latest(ref.instance), self.system.configuration
         if latest is None or ref not in configuration.modes:
             return False
@@ -246,7 +246,7 @@ class Restorer(ReconciliationObserver):
         return next((index for index in range(now) if not any(lacking(configuration, ref, index, state))), now)
 
     def status(self, ref: FunctionalityRef) -> str | None:
-        """Whether and when ``ref`` is restored, in words; None where that is up to commands."""
+        """Return whether and when ``ref`` is restored, in words; None where that is up to commands."""
         record, latest = self._records.get(ref), self.client.life.latest(ref.instance)
         if record is None or not record.fallen or latest is None or not self.enabled:
             return None
@@ -293,9 +293,11 @@ def _inputs(configuration: Configuration, ref: FunctionalityRef, assumption: Ass
 
 
 def _receives(assumption: Predicate, links: Collection[LinkState], condition: bool) -> bool:
-    """Whether one of the attachments has kept the rate, and constraints on fields; as the local reflex, nothing is
-    concluded of one that has never received anything, nor of an input without a rate, unless it is a condition.
-    Of a client, whether its server does not break its bound."""
+    """Return whether one of the attachments has kept the rate, and constraints on fields.
+
+    As the local reflex, nothing is concluded of one that has never received anything, nor of an input without a rate,
+    unless it is a condition. Of a client, whether its server does not break its bound.
+    """
     if any(link.responses is not None and link.responses.broken for link in links):
         return False
     deadline = assumption.qos.deadline

@@ -1,4 +1,4 @@
-"""What a command runs, followed from the file that it names: links, console scripts, and the modules behind them.
+"""The files of a command, followed from the one that it names: links, console scripts, and the modules behind them.
 
 A program with Midstride's API lists the modules that it has imported. Of any other, only what its files say is known:
 of a Python program the modules that it imports from beside it, of a console script of an installed package the module

@@ -49,7 +49,7 @@ class _PortShape:
 
 @dataclass(slots=True)
 class EntryShape:
-    """What of an entry depends on the instance and its attachments alone; another one is made when these change."""
+    """The part of an entry that depends on the instance and its attachments alone; made anew when these change."""
 
     instance: Instance
     functionalities: list[tuple[FunctionalityRef, FunctionalitySpec, list[str]]]
@@ -148,7 +148,7 @@ def _misnamed(instance: Instance, others: OtherNodes) -> Iterator[str]:
 
 
 def is_sound(status: InstanceStatus) -> bool:
-    """Whether an instance does what its modes guarantee. One that waits for the clock of a simulation does not."""
+    """Return whether an instance does what its modes guarantee. One that waits for a simulation's clock does not."""
     return status.as_modelled and status.waiting is None and not status.differences
 
 
@@ -168,7 +168,8 @@ def parameters(state: ComponentState) -> list[ParameterStatus]:
 
 
 def endpoints(instance: Instance, state: ComponentState | None, reported: Sequence[Endpoint]) -> list[EndpointStatus]:
-    """What the component of ``instance`` allows; which end its node has is known where it has ``reported`` that.
+    """The endpoints that the component of ``instance`` allows; which end its node has is known where it has
+    ``reported`` that.
 
     A node with others is refused when it starts, so these are all.
     """

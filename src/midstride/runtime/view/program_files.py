@@ -41,7 +41,8 @@ def _find_none(package: str, name: str, *, composable: bool = False) -> str | No
 
 @dataclass
 class _Known:
-    """What the process ``uuid`` has said when it had ``imported`` so many modules; ``named``: the files of `run`.
+    """The files of the process ``uuid``, as it named them when it had ``imported`` so many modules; ``named``: the
+    files of `run`.
 
     ``latest`` has the files that were compared, each with its time of modification then.
     """
@@ -95,7 +96,7 @@ class Programs:
             await asyncio.wait(pending, timeout=PATIENCE)
 
     async def status(self, configuration: Configuration) -> list[ProgramStatus]:
-        """What is known of the program of each instance, by name."""
+        """The status of the program of each instance, by name."""
         running = configuration.instances
         for gone in [name for name, asking in self._asking.items() if name not in running and asking.done()]:
             del self._asking[gone]

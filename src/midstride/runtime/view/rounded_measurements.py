@@ -35,7 +35,7 @@ NOTHING_MEASURED: Final = Measurements()
 
 
 def rounded(measured: Measured | None, shown: Measurements = NOTHING_MEASURED) -> Measurements:
-    """What to show of an attachment, where ``shown`` is shown of it."""
+    """The measurements of an attachment to show, where ``shown`` is shown of it."""
     if measured is None:
         return NOTHING_MEASURED
     return Measurements(
@@ -47,7 +47,7 @@ def rounded(measured: Measured | None, shown: Measurements = NOTHING_MEASURED) -
 
 
 def differ_noticeably(shown: Measurements | PortStatus, measured: Measured | None) -> bool:
-    """Whether :func:`rounded` gives others than those ``shown``. Called for every port, so it must be cheap."""
+    """Return whether :func:`rounded` gives others than those ``shown``. Called for every port, so it must be cheap."""
     if measured is None:
         return (shown.rate, shown.age, shown.jitter, shown.longest) != NOTHING_MEASURED
     return not (

@@ -13,7 +13,9 @@ from midstride.runtime.restore.restoring import Restorer
 
 
 class Baseline:
-    """What the specification provides: for each role its component, and the best modes that the system allows."""
+    """The system that the specification describes: for each role its component, and the best modes that the system
+    allows.
+    """
 
     def __init__(self, specification: Specification, intended: Configuration) -> None:
         self.specification = specification

@@ -81,7 +81,7 @@ class Explainer:
     # -- what to do --------------------------------------------------------------------------------------
 
     def _remedies(self, evaluator: Evaluator, ref: FunctionalityRef) -> list[str]:
-        """What to do so that ``ref`` gets back into its normal mode: for each root cause, the nearest first."""
+        """The remedies that bring ``ref`` back into its normal mode: for each root cause, the nearest first."""
         stuck = self._stuck(ref)
         if not (stuck or self._is_lowered(ref)):
             return []
@@ -100,7 +100,7 @@ class Explainer:
         return list(found)
 
     def _own_remedy(self, evaluator: Evaluator, ref: FunctionalityRef) -> str | None:
-        """What to do about a functionality that is not lowered because of what it relies on alone."""
+        """The remedy for a functionality that is not lowered because of what it relies on alone."""
         configuration = self.system.configuration
         role = configuration.instances[ref.instance].role
         if stuck := self._stuck(ref):
@@ -114,14 +114,14 @@ class Explainer:
         return None
 
     def _is_lowered(self, ref: FunctionalityRef) -> bool:
-        """Whether ``ref`` is below its normal mode, in the model or as its component reports."""
+        """Return whether ``ref`` is below its normal mode, in the model or as its component reports."""
         configuration, state = self.system.configuration, self.watched.client.life.responsive(ref.instance)
         found = None if state is None else state.functionalities.get(ref.functionality)
         best = configuration.functionality(ref).modes[0].name
         return configuration.modes[ref] > 0 or (found is not None and found.mode != best)
 
     def _stuck(self, ref: FunctionalityRef) -> list[str]:
-        """What to do about an instance that hangs, or is silent where ``ref`` guarantees messages; else nothing."""
+        """The remedies for an instance that hangs, or is silent where ``ref`` guarantees messages; else nothing."""
         configuration = self.system.configuration
         instance, functionality = configuration.instances[ref.instance], configuration.functionality(ref)
         ports = {*functionality.inputs, *functionality.outputs}

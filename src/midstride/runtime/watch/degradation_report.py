@@ -1,4 +1,4 @@
-"""What is lower after a change than before it, role by role: as planned, and unexpectedly."""
+"""The modes that are lower after a change than before it, role by role: as planned, and unexpectedly."""
 
 from __future__ import annotations
 

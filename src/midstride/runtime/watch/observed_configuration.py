@@ -104,7 +104,7 @@ def unsupported_modes(configuration: Configuration, state: ComponentState) -> di
 
 
 def differs(configuration: Configuration, state: ComponentState) -> bool:
-    """Whether a component of the model has other attachments there than it reports."""
+    """Return whether a component of the model has other attachments there than it reports."""
     return state.instance in configuration.instances and any(changed_attachments(configuration, state))
 
 

@@ -1,4 +1,4 @@
-"""What the outputs that a change exchanges have written meanwhile, by their own count: also where no subscriber tells.
+"""The messages of the outputs that a change exchanges, by their own count: also where no subscriber tells.
 
 A count over the whole change needs no more than two reports of each side. It shows a silence of several periods; what
 is shorter, subscribers that record show (:mod:`.subscriber_recording`). Where a part of the count is missing, nothing

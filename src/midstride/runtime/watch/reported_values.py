@@ -66,7 +66,7 @@ class ReportedValues:
         return {**self.saved, **self._put_back, **live}
 
     def update_saved(self, configuration: Configuration, roles: Mapping[str, object]) -> dict[str, Values]:
-        """What is to be saved: the values of each role that have changed. Forgets roles that are not in ``roles``."""
+        """The values to save, of each role that has changed. Forgets roles that are not in ``roles``."""
         now = {role: values if role in roles else _NONE for role, values in self.by_role(configuration).items()}
         changed = {role: values for role, values in now.items() if values != self.saved.get(role, _NONE)}
         self.saved = {role: values for role, values in now.items() if values}

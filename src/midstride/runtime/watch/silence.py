@@ -150,11 +150,11 @@ class SilenceMonitor:
         return any(str(port) == fault.port and link.passed > self._judged for port, link in links)
 
     def faults(self, configuration: Configuration) -> list[SilenceFault]:
-        """What is silent now, by instance and port."""
+        """Every silence now, by instance and port."""
         return self._faults(configuration, PORT_SILENCE)
 
     def silent(self, configuration: Configuration) -> set[str]:
-        """What is silent now, in words, also an output that has not been for so long yet that it is a fault.
+        """Every silence now, in words, also of an output that has not been silent for so long yet that it is a fault.
 
         What begins now has not made it silent.
         """
