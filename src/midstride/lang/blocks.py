@@ -107,7 +107,9 @@ class BlockParser(TokenStream):
         handlers[meant](self.i - 1)
 
     def _ends_block(self, at: int) -> bool:
-        """Whether the keyword at ``at``, unknown in this block, continues an outer one: if it is indented no deeper."""
+        """Return whether the keyword at ``at``, unknown in this block, continues an outer one: if it is indented no
+        deeper.
+        """
         line, column = self.tokens.source.position(self.tokens.starts[at])
         opened_line, indentation = self._opening_line()
         outer = any(self.texts[at] in handlers for _, handlers in self._open[:-1]) or KEYWORD_PLACES[
@@ -116,8 +118,11 @@ class BlockParser(TokenStream):
         return outer and (line == opened_line or column <= indentation + 1)
 
     def _closes_too_early(self, at: int, handlers: Handlers) -> bool:
-        """Whether the brace at ``at`` is superfluous: what follows fits this block and no outer one, and the brace is
-        not indented as the closing brace of the block would be."""
+        """Return whether the brace at ``at`` is superfluous.
+
+        Then what follows fits this block and no outer one, and the brace is not indented as the closing brace of the
+        block would be.
+        """
         word = self.texts[self.i]
         if self.kinds[self.i] != "name" or word not in handlers:
             return False

@@ -1,4 +1,4 @@
-"""What an entry of the catalogue of diagnostics consists of, and the texts that several examples start from."""
+"""The parts of an entry in the catalogue of diagnostics, and the texts that several examples start from."""
 
 from __future__ import annotations
 

@@ -185,7 +185,7 @@ class _SpecificationBuilder:
     def _may_follow(
         self, problem: Problem, specification: Specification, files_missing: bool, place: Span | None
     ) -> bool:
-        """Whether a problem may only be a consequence of a part that could not be parsed or resolved."""
+        """Return whether a problem may only be a consequence of a part that could not be parsed or resolved."""
         kind, name, *rest = (*problem.subject, "", "")
         if problem.code == "E008":
             text = "" if place is None else place.text
@@ -206,7 +206,7 @@ class _SpecificationBuilder:
         return problem.code == "W031" and files_missing
 
     def _may_be_declared(self, problem: Problem) -> bool:
-        """Whether a skipped statement of a component, or an unknown base of it, may declare the name."""
+        """Return whether a skipped statement of a component, or an unknown base of it, may declare the name."""
         kind, name, section = (*problem.declared, "", "", "")[:3]
         if kind != "components" or name not in self.components.unresolved:
             return False

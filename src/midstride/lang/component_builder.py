@@ -66,7 +66,7 @@ class UnresolvedParts:
         return any((self.skipped, self.base, self.incomplete, self.functionalities, self.ports))
 
     def may_declare(self, *words: str) -> bool:
-        """Whether one of the missing statements may start with one of ``words``."""
+        """Return whether one of the missing statements may start with one of ``words``."""
         return self.base or any(word not in RESERVED or word in words for word in self.skipped)
 
 

@@ -78,7 +78,7 @@ class ContractResolver:
         return contract if isinstance(contract, Predicate) else None
 
     def contract(self, expression: ContractExpression | None) -> Contract | None:
-        """What an expression states, or None if it cannot be resolved."""
+        """The contract that an expression states, or None if it cannot be resolved."""
         if expression is None:
             return None
         base = expression.base
@@ -174,7 +174,7 @@ class ContractResolver:
         self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
 
     def _can_be_used(self, name: Name) -> bool:
-        """Whether a type can be used: it is known, or its package is unknown. Reports one that cannot."""
+        """Return whether a type can be used: it is known, or its package is unknown. Reports one that cannot."""
         full_name = canonical_type(name.text)
         if self._type(full_name) is not False:
             return True

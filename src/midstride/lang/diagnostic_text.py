@@ -163,7 +163,7 @@ class Reporter:
 
     @property
     def is_full(self) -> bool:
-        """Whether there are so many diagnostics that looking for more is of no use."""
+        """Return whether there are so many diagnostics that looking for more is of no use."""
         return len(self.found) >= MAX_DIAGNOSTICS
 
     def finish(self, file: str) -> None:

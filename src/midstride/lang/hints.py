@@ -1,4 +1,4 @@
-"""What is said about the model's problems beyond their messages: what to write instead, and what a problem leads to.
+"""Advice on the model's problems beyond their messages: what to write instead, and what a problem leads to.
 
 The model's own help is independent of the form of the specification. Here it is known how each declaration is written,
 and which topics a port could be attached to.
@@ -38,7 +38,7 @@ class Hints:
         self._searches = 0
 
     def help_for(self, problem: Problem, name: str) -> str | None:
-        """What to do about ``problem``, reported at a place with the text ``name``; None if nothing is known."""
+        """Advice on ``problem``, reported at a place with the text ``name``; None if nothing is known."""
         if problem.code == "E008" and not problem.help.startswith("did you mean"):
             declare = _declaration(problem, name)
             if declare is not None:

@@ -16,8 +16,10 @@ from midstride.lang.source_files import resolve_name
 
 
 class Symbol(NamedTuple):
-    """What a name refers to. ``owner`` is the component of a port, functionality or parameter; for a mode it is
-    ``Component.functionality``."""
+    """A name's meaning.
+
+    ``owner`` is the component of a port, functionality or parameter; for a mode it is ``Component.functionality``.
+    """
 
     kind: str
     name: str

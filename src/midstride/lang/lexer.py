@@ -102,7 +102,7 @@ def string_value(text: str) -> str:
 
 
 def is_topic_name(text: str) -> bool:
-    """Whether ``text`` is a valid ROS name or path."""
+    """Return whether ``text`` is a valid ROS name or path."""
     return len(text) <= _MAX_NAME and _PATH.fullmatch(text) is not None
 
 

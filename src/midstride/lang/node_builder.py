@@ -29,7 +29,7 @@ _ALL: Final = "/**"
 
 @dataclass(slots=True)
 class _Stated:
-    """What is stated for the parameters of one role, statement by statement: the later one takes precedence.
+    """The statements for the parameters of one role, statement by statement: the later one takes precedence.
 
     ``values``: for the role, but for the defaults of its component. ``of_files``: those of files among them, whatever
     is stated after them. ``sections``: what files have for all nodes, by the names of their sections. ``foreign``: its
@@ -140,7 +140,7 @@ class NodeBuilder:
                 yield ParameterSection(pattern, Map(values))
 
     def _is_named(self, role: str) -> bool:
-        """Whether the system has a node ``role`` that is passed this name."""
+        """Return whether the system has a node ``role`` that is passed this name."""
         entry = self.declarations.nodes.get(role)
         if entry is None:
             return False

@@ -300,7 +300,7 @@ class ComponentParser(ContractParser):
             found.append(parse())
 
     def _is_listed(self, word: str, at: int) -> bool:
-        """Whether a further assumption or guarantee begins here without its keyword."""
+        """Return whether a further assumption or guarantee begins here without its keyword."""
         if self.kinds[at] != "name" or self.is_keyword(at):
             return False
         if word == "guarantee":

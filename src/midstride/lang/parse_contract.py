@@ -124,7 +124,7 @@ class ContractParser(BlockParser):
         return tuple(policies)
 
     def _constraint_at(self, at: int) -> bool:
-        """Whether a field constraint begins at the token ``at``: dotted names, then a comparison."""
+        """Return whether a field constraint begins at the token ``at``: dotted names, then a comparison."""
         if self.kinds[at] != "name":
             return False
         while self.kinds[at + 1] == "." and self.kinds[at + 2] == "name":

@@ -190,7 +190,9 @@ class Parser(ComponentParser):
         return True
 
     def _topic_at(self, at: int) -> bool:
-        """Whether another topic of an attachment is at the token ``at``: after a comma, and not the next statement."""
+        """Return whether another topic of an attachment is at the token ``at``: after a comma, and not the next
+        statement.
+        """
         if self.kinds[at - 1] != "," or self.kinds[at] not in {"name", "path"}:
             return False
         if self.texts[at] in RESPAWN_WORDS or (

@@ -146,7 +146,7 @@ class _Printer:
             previous = index
 
     def _breaks(self, previous: int, index: int, fresh: bool, statement: bool, closes_multi: bool) -> bool:
-        """Whether the token ``index`` starts a line."""
+        """Return whether the token ``index`` starts a line."""
         if fresh or closes_multi or previous in self.multi:
             return True
         if index in self.layout.blocks or index in self.closing:
@@ -156,7 +156,7 @@ class _Printer:
         return self.of_token[index] > self.of_token[previous]
 
     def _holds_multi(self, start: int) -> bool:
-        """Whether the statement at ``start`` contains a multi-line block."""
+        """Return whether the statement at ``start`` contains a multi-line block."""
         index = start
         while index < len(self.tokens.kinds) - 1:
             if index in self.multi:
@@ -169,7 +169,7 @@ class _Printer:
         return False
 
     def _blank_before(self, index: int, previous: int | None) -> bool:
-        """Whether a blank line precedes the token; never directly inside braces."""
+        """Return whether a blank line precedes the token; never directly inside braces."""
         if previous is None:
             inside = not self.lines
         else:

@@ -112,7 +112,7 @@ class Bounds:
         return cls(tuple(dict.fromkeys(os.path.realpath(folder) for folder in folders)))
 
     def contain(self, path: str) -> bool:
-        """Whether the file at ``path`` may be read."""
+        """Return whether the file at ``path`` may be read."""
         real = os.path.realpath(path)
         return any(os.path.commonpath((folder, real)) == folder for folder in self.folders)
 

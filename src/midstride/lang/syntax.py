@@ -96,7 +96,7 @@ class ContractExpression(NamedTuple):
 
     @property
     def is_bare_name(self) -> bool:
-        """Whether it is a single name, as an input's name would be."""
+        """Return whether the expression is a single name, as an input's name would be."""
         plain = self.rate is None and not self.qos and not self.where and self.bound is None
         return plain and self.base is not None and "/" not in self.base.text
 
@@ -179,7 +179,7 @@ class ServerDeclaration(NamedTuple):
 
 
 class OwnTopic(NamedTuple):
-    """What a program that does not use Midstride's API calls the topic of a port."""
+    """The name that a program which does not use Midstride's API has for the topic of a port."""
 
     name: Name  # of the port
     topic: Name
@@ -367,7 +367,7 @@ Item: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class SourceLayout:
-    """What the printer needs to know about the tokens besides their text, by token index.
+    """The facts about the tokens that the printer needs besides their text, by token index.
 
     ``statements``: the first token of each statement, with its separator from a previous one on the same line.
     ``items``: the tokens that follow a comma. ``blocks``: the opening and closing braces of blocks (not of value sets).

@@ -199,7 +199,7 @@ class TokenStream:
         return number
 
     def _starts_item(self, at: int) -> bool:
-        """Whether the name at ``at`` is not a unit: what follows it makes it the name of something else."""
+        """Return whether the name at ``at`` is not a unit: what follows it makes it the name of something else."""
         return self.kinds[at + 1] in {"number", ":", "=", "<-", "->", ".", ","}
 
     def items(self, close: str) -> Iterator[None]:
@@ -215,7 +215,9 @@ class TokenStream:
             yield
 
     def sequence(self, read: Callable[[], T], continues: Callable[[int], bool]) -> tuple[T, ...]:
-        """What ``read`` reads, until no further item starts at a token; commas between the items are optional."""
+        """Collect what ``read`` reads, until no further item starts at a token; commas between the items are
+        optional.
+        """
         found = [read()]
         while continues(at := self.i + (self.kinds[self.i] == ",")):
             self.i = at
@@ -231,6 +233,6 @@ class TokenStream:
         )
 
     def _is_misspelt_statement(self, at: int) -> bool:
-        """Whether the name at ``at`` probably starts a statement: `mod normal {`."""
+        """Return whether the name at ``at`` probably starts a statement: `mod normal {`."""
         heads = self.kinds[at + 1] == "name" and self.kinds[min(at + 2, len(self.kinds) - 1)] in {"{", ":"}
         return heads and nearest(self.texts[at], RESERVED) is not None

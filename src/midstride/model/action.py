@@ -51,7 +51,7 @@ class Swap:
 
 
 class Action(ABC):
-    """What every action offers. Actions are frozen values."""
+    """The interface of every action. Actions are frozen values."""
 
     __slots__ = ()
     kind: ClassVar[str]
@@ -167,7 +167,7 @@ def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -
 
 @dataclass(frozen=True, slots=True)
 class _AttachmentAction(Action):
-    """What attaching and detaching have in common."""
+    """The common part of attaching and detaching."""
 
     port: PortRef
     connector: str
@@ -279,7 +279,7 @@ def _mode_names(
 
 @dataclass(frozen=True, slots=True)
 class _ModeAction(Action):
-    """What degrading and upgrading have in common: the functionalities, each with the mode that it enters."""
+    """The common part of degrading and upgrading: the functionalities, each with the mode that it enters."""
 
     is_structural: ClassVar[bool] = False
     modes: Map[FunctionalityRef, int]

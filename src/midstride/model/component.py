@@ -1,4 +1,4 @@
-"""What a component declares: ports, functionalities with their modes, resources, parameters.
+"""The declaration of a component: ports, functionalities with their modes, resources, parameters.
 
 A component is a *type*, such as "a lidar driver"; what runs is an
 :class:`~midstride.model.configuration.Instance` of it. It has input and output ports, which are attached to topics
@@ -85,7 +85,7 @@ def value_kind(value: ParameterValue) -> str:
 
 
 def value_fits(value: ParameterValue, declared: ParameterValue) -> bool:
-    """Whether a parameter declared with one value accepts another: an integer is accepted for a float."""
+    """Return whether a parameter declared with one value accepts another: an integer is accepted for a float."""
     if isinstance(declared, list):
         return isinstance(value, list) and (not declared or all(value_fits(member, declared[0]) for member in value))
     return type(value) is type(declared) or (type(value) is int and type(declared) is float)
@@ -102,8 +102,10 @@ def canonical(value: Any) -> Any:
 
 
 def same_value(first: object, second: object) -> bool:
-    """Whether two values of a parameter are equal. Unlike in arithmetic, NaN is equal to itself: else it would count as
-    changed for ever."""
+    """Return whether two values of a parameter are equal.
+
+    NaN is equal to itself here: else it would always count as changed.
+    """
     if isinstance(first, list) and isinstance(second, list):
         return len(first) == len(second) and all(map(same_value, first, second))
     return bool(first == second) or (first != first and second != second)
@@ -191,7 +193,9 @@ class Mode:
         return self.guarantees.get(output, NOTHING)
 
     def needs(self) -> frozenset[Predicate | frozenset[str]]:
-        """What it assumes, regardless of the order of declaration: predicates, and inputs that are alternatives."""
+        """The needs of the mode, regardless of the order of declaration: predicates, and inputs that are
+        alternatives.
+        """
         return frozenset(frozenset(a.inputs) if isinstance(a, InputAlternatives) else a for a in self.assumptions)
 
 
@@ -225,7 +229,7 @@ class FunctionalitySpec:
         return frozenset(name for mode in self.modes for name in mode.parameters)
 
     def on_entry(self, mode: Mode, values: Mapping[str, ParameterValue]) -> dict[str, ParameterValue]:
-        """What is set when ``mode`` is entered: of those that it does not state, the node's own ``values``.
+        """The values that are set when ``mode`` is entered; where it states none, the node's own ``values``.
 
         The last mode sets nothing unless it states something, so that degrading to it cannot be refused.
         """
@@ -383,27 +387,33 @@ class ComponentSpec:
 
     @property
     def preloads(self) -> bool:
-        """Whether a preloaded library holds back what its program publishes."""
+        """Return whether a preloaded library holds back what the program publishes."""
         return self.gate in ("preload", "lifecycle preload")
 
     @property
     def loads_library(self) -> bool:
-        """Whether the library is loaded into its process: for its outputs and services, or for its services alone."""
+        """Return whether the library is loaded into the process of the program: for its outputs and services, or for
+        its services alone.
+        """
         return self.preloads or self.gate == "lifecycle"
 
     @property
     def has_agent(self) -> bool:
-        """Whether its process carries out commands itself: its program uses Midstride's API, or a relay runs it."""
+        """Return whether the component's process carries out commands itself: its program uses Midstride's API, or a
+        relay runs it.
+        """
         return self.gate in (None, "relay")
 
     @property
     def counts_messages(self) -> bool:
-        """Whether it is known what its nodes publish and receive: by their own count, or by that of a gate."""
+        """Return whether it is known what the component's nodes publish and receive: by their own count, or by that
+        of a gate.
+        """
         return self.has_agent or self.preloads
 
     @property
     def has_lifecycle(self) -> bool:
-        """Whether its ROS 2 node is a lifecycle node, which is active in all modes but the last."""
+        """Return whether the component's ROS 2 node is a lifecycle node, which is active in all modes but the last."""
         return self.gate in ("lifecycle", "lifecycle preload")
 
     @property
@@ -478,7 +488,7 @@ class ComponentSpec:
         return contract.within if isinstance(contract, Predicate) else None
 
     def _stated(self, port: str, modes: Mapping[str, str]) -> Contract:
-        """What an input assumes, or an output guarantees in the mode of its functionality."""
+        """The contract that an input assumes, or an output guarantees, in the mode of its functionality."""
         if (owner := self.find_owner(port)) is not None:
             return next((mode.guarantee(port) for mode in owner.modes if mode.name == modes.get(owner.name)), NOTHING)
         return self.inputs.get(port, NOTHING)
@@ -488,7 +498,7 @@ class ComponentSpec:
         return [*self.outputs, *self.input_order]
 
     def same_body(self, other: ComponentSpec) -> bool:
-        """Whether the two differ at most in name and parameters (docs/semantics.md section 6).
+        """Return whether the two differ at most in name and parameters (docs/semantics.md section 6).
 
         The order of ports, assumptions and endpoints makes no difference; that of modes does.
         """
@@ -542,13 +552,13 @@ class Connector:
         return self.guarantee.kind
 
     def same_contract(self, other: Connector) -> bool:
-        """Whether both are one topic with one contract; a cap is not part of the contract."""
+        """Return whether both are one topic with one contract; a cap is not part of the contract."""
         return self.topic == other.topic and self.guarantee == other.guarantee
 
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentGuarantee:
-    """What the environment offers. With a topic, it is a publisher out of scope on that topic alone."""
+    """A guarantee of the environment. With a topic, it is a publisher out of scope on that topic alone."""
 
     name: str
     guarantee: Predicate

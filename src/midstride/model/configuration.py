@@ -40,7 +40,7 @@ _NONE_HELD = Fraction()
 
 @dataclass(frozen=True, slots=True)
 class SystemContext:
-    """What surrounds the components: the connectors, the environment, the resources."""
+    """The surroundings of the components: the connectors, the environment, the resources."""
 
     connectors: Map[str, Connector] = field(default_factory=Map)
     environment: tuple[EnvironmentGuarantee, ...] = ()
@@ -75,7 +75,7 @@ def to_fraction(amount: float) -> Fraction:
 
 @dataclass(frozen=True, slots=True)
 class Instance:
-    """What runs: an instance of a role's component. The first one has the role's name (docs/semantics.md section 6).
+    """A running instance of a role's component. The first one has the role's name (docs/semantics.md section 6).
 
     ``parameters`` holds the value of every parameter: its component's where none is given. ``sections``: parameters of
     further nodes in its process.
@@ -140,7 +140,7 @@ class Configuration:
         return self.component(port.instance).has_output(port.port)
 
     def has_port(self, port: PortRef) -> bool:
-        """Whether ``port`` is a port of a live component."""
+        """Return whether ``port`` is a port of a live component."""
         instance = self.instances.get(port.instance)
         if instance is None:
             return False
@@ -171,7 +171,7 @@ class Configuration:
         return [(port, connector) for port in ports for connector in self.attached_to(port)]
 
     def guarantee(self, output: PortRef) -> Contract:
-        """What a live output guarantees in the current mode of its owner."""
+        """The guarantee of a live output in the current mode of its owner."""
         owner = self.component(output.instance).owner(output.port)
         return owner.modes[self.modes[FunctionalityRef(output.instance, owner.name)]].guarantee(output.port)
 

@@ -92,7 +92,7 @@ class QoS:
         return self.durability == "transient_local"
 
     def same_endpoint(self, other: QoS) -> bool:
-        """Whether both describe the same real endpoint (rule M3), with or without the defaults written out."""
+        """Return whether both describe the same real endpoint (rule M3), with or without the defaults written out."""
         return self.effective() == other.effective()
 
     def effective(self) -> QoS:
@@ -244,7 +244,7 @@ Nothing: TypeAlias = Literal[_Nothing.NOTHING]
 
 @dataclass(frozen=True, slots=True)
 class Predicate:
-    """What travels through a port: its type, and for messages their rate (Hz), QoS, and the values of fields.
+    """The messages or requests of a port: its type, and for messages their rate (Hz), QoS, and the values of fields.
 
     As a guarantee it says what is provided (at least ``rate``), as an assumption what is needed. ``within``: the bound
     (s) within which a service answers a request, or an action accepts or rejects a goal.
@@ -276,7 +276,7 @@ class Predicate:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no message can be like this, because the constraints on a field contradict each other."""
+        """Return whether no message can be like this, because the constraints on a field contradict each other."""
         return any(values.is_empty for _, values in self.fields)
 
     def constraint(self, path: str) -> ValueSet | None:

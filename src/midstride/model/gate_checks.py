@@ -1,4 +1,4 @@
-"""What must hold of a component whose program does not use Midstride's API, and of its nodes (E027, E028)."""
+"""The rules for a component whose program does not use Midstride's API, and for its nodes (E027, E028)."""
 
 from __future__ import annotations
 

@@ -14,14 +14,17 @@ _OF_EVERY_NODE: Final = (OF_PARAMETERS, "lifecycle_msgs/", "type_description_int
 
 
 def is_infrastructure(topic: str, *, output: bool) -> bool:
-    """Whether a publisher (``output``) or a subscription of ``topic`` (a full name) is for logs, parameters, the clock,
-    lifecycle, the bonds of lifecycle managers or ROS actions."""
+    """Return whether a publisher (``output``) or a subscription of ``topic`` (a full name) belongs to ROS itself.
+
+    That is for logs, parameters, the clock, lifecycle, the bonds of lifecycle managers or ROS actions.
+    """
     clock = topic == "/clock" and not output
     return "/_" in topic or clock or topic in _EVERYWHERE or topic.endswith((_OF_LIFECYCLE, _BOND))
 
 
 def is_of_every_node(service: str, type_: str, node: str | None = None) -> bool:
-    """Whether ROS itself gives ``node`` a service (a full name): for its parameters, lifecycle, types or log levels.
+    """Return whether ROS itself gives ``node`` a service (a full name): for its parameters, lifecycle, types or log
+    levels.
 
     Without ``node``, of any node: then the service has the name that ROS gives it, which is that of its type.
     """

@@ -19,7 +19,9 @@ def fresh_name(role: str, *used: Container[str]) -> str:
 
 
 def is_named_after(instance: str, role: str) -> bool:
-    """Whether an instance of ``role`` may have the name ``instance``: ``camera`` and ``camera_2`` for ``camera``."""
+    """Return whether an instance of ``role`` may have the name ``instance``: ``camera`` and ``camera_2`` for
+    ``camera``.
+    """
     return instance == role or (instance.startswith(f"{role}_") and instance[len(role) + 1 :].isdecimal())
 
 

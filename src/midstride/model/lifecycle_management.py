@@ -1,4 +1,4 @@
-"""What manages the lifecycle nodes of a system: Midstride (`gate lifecycle`), or a lifecycle manager; never both.
+"""The manager of the lifecycle nodes of a system: Midstride (`gate lifecycle`), or a lifecycle manager; never both.
 
 Nav2's manager is recognised by its parameters: `node_names` has its nodes, and `autostart` whether it activates them by
 itself or `bond_timeout` after how long without a message (s) it takes one for dead, and deactivates all.

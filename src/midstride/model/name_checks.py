@@ -277,7 +277,7 @@ def _node_names(specification: Specification, node: Node, path: SubjectPath) -> 
 
 
 def missing_for_constraints(specification: Specification, role: str) -> list[str]:
-    """What `keep` and `limit` constraints on ``role`` name and its component lacks, in words."""
+    """List in words what `keep` and `limit` constraints on ``role`` name and its component lacks."""
     return [
         f"{problem.message}, which `{constraint}` names"
         for index, constraint in enumerate(specification.constraints)

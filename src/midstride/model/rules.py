@@ -60,7 +60,7 @@ class Evaluator:
         return self.modes[ref] if index is None else index
 
     def guarantee(self, output: PortRef) -> Contract:
-        """What a live output guarantees in the mode of its owner."""
+        """The guarantee of a live output in the mode of its owner."""
         owner = self.configuration.component(output.instance).owner(output.port)
         return owner.modes[self.mode_index(FunctionalityRef(output.instance, owner.name))].guarantee(output.port)
 
@@ -72,7 +72,7 @@ class Evaluator:
         return any(satisfies(offer.guarantee, needed) for offer in environment) or self._published(name, needed)
 
     def _published(self, name: str, needed: Contract) -> bool:
-        """Whether an attached output satisfies the connector."""
+        """Return whether an attached output satisfies the connector."""
         return any(satisfies(self.guarantee(output), needed) for output in self.configuration.publishers_on(name))
 
     def input_satisfied(self, port: PortRef) -> bool:
@@ -96,12 +96,12 @@ class Evaluator:
         return any(satisfies(offer.guarantee, assumption) for offer in self.configuration.context.offers())
 
     def mode_satisfied(self, ref: FunctionalityRef, index: int) -> bool:
-        """Whether every assumption of ``ref``'s mode ``index`` is satisfied."""
+        """Return whether every assumption of ``ref``'s mode ``index`` is satisfied."""
         functionality = self.configuration.functionality(ref)
         return all(self.assumption_satisfied(ref, functionality, a) for a in functionality.modes[index].assumptions)
 
     def satisfied(self, ref: FunctionalityRef) -> bool:
-        """Whether every assumption of the mode that ``ref`` is in is satisfied."""
+        """Return whether every assumption of the mode that ``ref`` is in is satisfied."""
         return self.mode_satisfied(ref, self.mode_index(ref))
 
     def best_satisfied_mode(self, ref: FunctionalityRef, start: int) -> int:
@@ -239,7 +239,7 @@ def violations(configuration: Configuration) -> list[Violation]:
 
 
 def normal_guarantee(component: ComponentSpec, output: str) -> Contract:
-    """What ``output`` guarantees in the normal mode of its owner."""
+    """The guarantee of ``output`` in the normal mode of its owner."""
     return component.owner(output).modes[0].guarantee(output)
 
 

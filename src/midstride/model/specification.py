@@ -54,7 +54,7 @@ FEWEST_PERIODS: Final = 5
 
 
 def handover_seconds(timing: Mapping[str, float], name: str) -> float:
-    """What ``timing`` states for one of HANDOVER_SECONDS, or its default (s)."""
+    """The time that ``timing`` states for one of HANDOVER_SECONDS, or its default (s)."""
     return timing.get(name, HANDOVER_SECONDS[name])
 
 

@@ -12,7 +12,7 @@ from midstride.model.contract import ConnectorKind
 
 
 class KindWords(NamedTuple):
-    """What a connector of one kind is called, and what is attached to it."""
+    """The words for a connector of one kind, and for what is attached to it."""
 
     connector: str
     output: str

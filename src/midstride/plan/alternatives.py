@@ -1,4 +1,4 @@
-"""What it would cost to keep what a plan degrades (docs/semantics.md section 6).
+"""The costs of keeping what a plan degrades (docs/semantics.md section 6).
 
 For each functionality that falls, the best plan is sought in which it does not: the same change with one more
 constraint.

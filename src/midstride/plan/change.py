@@ -24,7 +24,7 @@ PortAttachment = tuple[PortRef, str]
 
 @dataclass(frozen=True, slots=True, order=True)
 class Detour:
-    """What one role does beyond the structural differences (docs/semantics.md section 6).
+    """The steps of one role beyond the structural differences (docs/semantics.md section 6).
 
     ``moved``: a node that stays is replaced by a new instance with the same declaration, so that it may be absent for a
     time. ``stand_in``: the component of an instance that exists during the plan only; None: there is none.
@@ -122,7 +122,7 @@ class Change:
         return max(probation_seconds(self.target.timing, self._rate(swap.new)) for swap in action.swaps)
 
     def _rate(self, port: PortRef) -> float | None:
-        """What an output guarantees in its best mode (Hz)."""
+        """The rate that an output guarantees in its best mode (Hz)."""
         component = self.component_of(port.instance)
         owner = component.find_owner(port.port)
         return None if owner is None else component.stated_rate(port.port, {owner.name: owner.modes[0].name})

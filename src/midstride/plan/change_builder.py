@@ -149,7 +149,8 @@ class ChangeBuilder:
                 self._leave(instance)
 
     def _waits_behind_another(self, instance: Instance, running: Iterable[Instance]) -> bool:
-        """Whether another instance of the role publishes what this one is to publish, and it has none of its outputs.
+        """Return whether another instance of the role publishes what ``instance`` is to publish, which has no output
+        yet.
 
         So it is of one that a change has created which was left incomplete. It is not kept: a new one takes over from
         the other, in a hand-over.
@@ -162,7 +163,7 @@ class ChangeBuilder:
         return {connector for port, connector in attachments if self.start.is_output(port)}
 
     def _renamed_topics(self, instance: Instance) -> bool:
-        """Whether it would get other topics, and has those that it was started with for good."""
+        """Return whether the instance would get other topics, and has those that it was started with for good."""
         if instance.component.gate is None:
             return False
         want = {
@@ -259,7 +260,7 @@ def _add_users(configuration: Configuration, port: PortRef, seeds: dict[Function
 
 
 def _differs(instance: Instance, wanted: Instance) -> bool:
-    """Whether ``instance`` must be replaced to become ``wanted`` (docs/semantics.md section 6)."""
+    """Return whether ``instance`` must be replaced to become ``wanted`` (docs/semantics.md section 6)."""
     if instance.component is not wanted.component and not instance.component.same_body(wanted.component):
         return True
     current = instance.parameters

@@ -1,4 +1,4 @@
-"""What the user asks of every plan: ``keep``, ``limit`` and ``order`` (docs/semantics.md section 6)."""
+"""The user's demands on every plan: ``keep``, ``limit`` and ``order`` (docs/semantics.md section 6)."""
 
 from __future__ import annotations
 
@@ -115,7 +115,9 @@ class ConstraintMonitor:
         return self if broken is self.broken else replace(self, broken=broken)
 
     def is_doomed(self, meter: DisruptionMeter) -> bool:
-        """Whether no plan that begins like this meets every ``keep`` and ``limit``; ``meter`` has the same steps."""
+        """Return whether no plan that begins like this meets every ``keep`` and ``limit``; ``meter`` has the same
+        steps.
+        """
         return bool(self.broken) or any(_exceeds(limit, meter) for limit in self.limits)
 
 

@@ -1,4 +1,4 @@
-"""What a plan may lose on the way, and what nothing will measure, as :mod:`midstride.verdicts` says it."""
+"""The losses that a plan may cause on the way, and those that nothing will measure (:mod:`midstride.verdicts`)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ ASKING: Final = 3.0
 
 
 def expected_losses(plan: Plan) -> verdicts.Assessments:
-    """What ``plan`` lowers, what is down or silent meanwhile, and of which nodes nothing measures what they do."""
+    """Assess what ``plan`` lowers, what is down or silent meanwhile, and of which nodes nothing measures what
+    they do.
+    """
     lowered = [each.functionality for each in plan.degradations]
     lowered += [shift.functionality for shift in plan.level_shifts if shift.levels > 0]
     found = [*map(verdicts.will_degrade, dict.fromkeys(lowered)), *_silences(plan), *_exchanges(plan), *plan.besides]

@@ -49,7 +49,7 @@ class LevelShift(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=F
 
 
 def level_shifts(change: Change, steps: Sequence[Step]) -> tuple[LevelShift, ...]:
-    """What is in another mode after the plan for good, by role, so that a replaced role is included.
+    """The functionalities that are in another mode after the plan for good, by role, so also of a replaced role.
 
     Of functionalities that both start and target have; greatest losses first.
     """
@@ -127,7 +127,7 @@ def _because(
 
 
 def _forced_by(steps: Sequence[Step], before: Configuration, cause: Step) -> Iterator[str]:
-    """What keeps the roles of ``cause`` from creating and attaching ``before`` it what they do only after it."""
+    """Name what keeps the roles of ``cause`` from creating and attaching ``before`` it what they do only after it."""
     found: dict[str, None] = {}
     for step in steps:
         if isinstance(step.action, (Create, Attach)) and set(step.roles) & set(cause.roles):

@@ -33,7 +33,9 @@ class ImpactedFunctionality(Form, frozen=True, omit_defaults=False):
 
 
 class Impact(Form, frozen=True, omit_defaults=False):
-    """What degrades without a node (`midstride impact --json`). ``own`` are its functionalities, lost with it.
+    """The functionalities that degrade without a node (`midstride impact --json`).
+
+    ``own`` are its functionalities, lost with it.
 
     ``loss`` adds up the levels that others lose, times their weight. The node is a single point of failure if a
     functionality of another node degrades to its last mode.

@@ -1,4 +1,4 @@
-"""What a plan lowers from where it has got to: if it is finished, and if it is rolled back.
+"""The functionalities that a plan lowers from where it has got to: if it is finished, and if it is rolled back.
 
 docs/protocols/permission.md. A step lowers a functionality if that is in a worse mode, or served less, after it than
 before. All is compared with the start of the change, also what the target lowers for good, and what is removed.
@@ -33,7 +33,7 @@ class Lowering:
 
 @dataclass(frozen=True)
 class PlanLowering:
-    """What ``plan`` lowers, step by step."""
+    """The functionalities that ``plan`` lowers, step by step."""
 
     plan: Plan
 
@@ -57,16 +57,16 @@ class PlanLowering:
         return reached
 
     def lowers(self, index: int) -> bool:
-        """Whether step ``index`` (from 0) lowers a functionality."""
+        """Return whether step ``index`` (from 0) lowers a functionality."""
         return any(each.after > each.before for each in self._reached[index + 1][1].changes)
 
     def finishing(self, done: int) -> Lowering:
-        """What is lowered from when ``done`` steps are done to the end of the plan."""
+        """The functionalities lowered between ``done`` steps and the end of the plan."""
         _, meter, spent = self._reached[-1]
         return Lowering(round(meter.missing, DIGITS), round(spent - self._reached[done][2], DIGITS))
 
     def rolling_back(self, done: int) -> Lowering:
-        """What is lowered if these steps are undone instead, the last first."""
+        """The functionalities lowered if ``done`` steps are undone instead, the last first."""
         configuration, meter, before = self._reached[done]
         spent = before
         for action in self._undoing(done):
@@ -79,7 +79,7 @@ class PlanLowering:
             yield from self.plan.steps[index].action.undo(self._reached[index][0])
 
     def is_better_finished(self, done: int) -> bool:
-        """Whether to finish the plan lowers less than to roll it back; where both are equal, it is rolled back."""
+        """Return whether finishing the plan lowers less than rolling it back, which is done where both are equal."""
         return self.finishing(done) < self.rolling_back(done)
 
 

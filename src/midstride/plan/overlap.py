@@ -1,4 +1,4 @@
-"""What of a plan overlaps when it is carried out (docs/semantics.md section 6).
+"""The steps of a plan that overlap when it is carried out (docs/semantics.md section 6).
 
 The steps keep the order of the plan. What overlaps: a process starts as soon as everything is done that its ``create``
 step must wait for; and steps next to each other are carried out at once, in a round, if they are all removals, all
@@ -51,7 +51,9 @@ def one_by_one(actions: Sequence[Action]) -> Overlap:
 
 
 def overlap(plan: Plan) -> Overlap:
-    """What overlaps, by the plan's dependencies: whatever steps are done at a time, the configuration is valid."""
+    """Find the steps that overlap, by the plan's dependencies: whatever steps are done at a time, the configuration
+    is valid.
+    """
     neighbours = _Neighbours(plan)
     rounds: list[tuple[int, ...]] = []
     starts: dict[int, list[int]] = {}
@@ -108,7 +110,7 @@ class _Neighbours:
             self._attached[port.instance].add(connector)
 
     def admit(self, earlier: Sequence[int], index: int) -> bool:
-        """Whether a step may be in the round of those ``earlier`` ones."""
+        """Return whether a step may be in the round of those ``earlier`` ones."""
         kind = self._kind(index)
         if kind is None or any(self._kind(each) != kind for each in earlier):
             return False
@@ -147,7 +149,7 @@ class _Neighbours:
         return {*names, *(self._partners[name] for name in names if name in self._partners)}
 
     def _waits_for_peer(self, earlier: Sequence[int], index: int) -> bool:
-        """Whether an attachment has to find what one of ``earlier`` attaches, at the other end of its topic."""
+        """Return whether an attachment has to find what one of ``earlier`` attaches, at the other end of its topic."""
         ends = [
             (self._change.start.topic(action.connector), self._change.is_output(action.port))
             for each in (*earlier, index)
@@ -157,7 +159,7 @@ class _Neighbours:
         return (topic, not output) in ends
 
     def _is_independent(self, earlier: Sequence[int], index: int) -> bool:
-        """Whether the two sides of a hand-over write and hear nothing that ``earlier`` ones hand over.
+        """Return whether the two sides of a hand-over write and hear nothing that ``earlier`` ones hand over.
 
         On a topic that they shared, new publishers would be counted for each other's. What a new side hears is to be,
         during its probation, what it hears after its cut.

@@ -139,7 +139,7 @@ class PlanRequest:
 
     @property
     def stops_everything(self) -> bool:
-        """Whether every role is concerned, named or not."""
+        """Return whether every role is concerned, named or not."""
         return self.strategy == "stop"
 
     def replaced(self) -> list[str]:

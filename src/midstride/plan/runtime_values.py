@@ -89,7 +89,7 @@ def decide(
     keep: bool = True,
     unknown: Mapping[str, Origin] = _NONE,
 ) -> tuple[RuntimeValue, ...]:
-    """What becomes of the ``values`` of a role, set while it ran, when its node changes from ``before`` to ``after``.
+    """Decide about the ``values`` of a role, set while it ran, when its node changes from ``before`` to ``after``.
 
     Values that the target declares anyway are left out. Without ``keep``, the target's values are used. ``unknown``:
     the parameters of which it is not known that they were set by a request, with what is known of them.
@@ -139,7 +139,7 @@ def _default(component: ComponentSpec, name: str, value: ParameterValue) -> Para
 
 
 def _file_changed(before: Specification, after: Specification, role: str, name: str) -> bool:
-    """Whether the specification's own value of a parameter changes.
+    """Return whether the specification's own value of a parameter changes.
 
     That another component has another default is not such a change: it says nothing about the value for this node.
     """
@@ -156,7 +156,7 @@ def of_change(
     keep: bool = True,
     unknown: Mapping[str, Mapping[str, Origin]] | None = None,
 ) -> tuple[RuntimeValue, ...]:
-    """What becomes of the ``values`` (by role) in a change: those of roles that get a new instance or are set in place.
+    """Decide about the ``values`` (by role) in a change: those of roles that get a new instance or are set in place.
 
     ``unknown``: by role, as in :func:`decide`. Raises PlanRefused as that does.
     """
@@ -202,7 +202,7 @@ def _left_behind(component: str) -> str:
 def setting(
     role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str, seconds: float | UnsetType = UNSET
 ) -> RuntimeValue:
-    """What becomes of a value that a change sets."""
+    """The fate of a value that a change sets."""
     words = f"{role}: {name} = {value!r}: {fate_words}"
     form = json_value(value)
     return RuntimeValue(node=role, parameter=name, value=form, fate=fate, seconds=seconds, words=words)
@@ -211,6 +211,6 @@ def setting(
 def runtime_value(
     role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str, origin: Origin = "set"
 ) -> RuntimeValue:
-    """What becomes of one value; ``fate_words`` is the same for people."""
+    """The fate of one value; ``fate_words`` is the same for people."""
     words = f"{role}: {name} = {value!r}, {SET_BY[origin]}: {fate_words}"
     return RuntimeValue(node=role, parameter=name, value=json_value(value), fate=fate, origin=origin, words=words)

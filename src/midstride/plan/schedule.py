@@ -30,7 +30,7 @@ from midstride.plan.step import Step
 
 
 class Access(Enum):
-    """What a step does to the thing it marks."""
+    """The access of a step to the thing that it marks."""
 
     OWN = auto()
     USE = auto()

@@ -1,4 +1,4 @@
-"""Whether a plan is the best one only if steps take as long as is expected (docs/semantics.md section 6).
+"""The sensitivity of a plan: is it the best one only if steps take as long as is expected?
 
 Durations are estimates with a spread. With another duration, another order of steps may cost less.
 """

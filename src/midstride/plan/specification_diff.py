@@ -69,7 +69,7 @@ def _compared(
     details: Callable[[T], tuple[str, ...]],
     changes: Callable[[T, T], Iterable[str]],
 ) -> Iterator[Difference]:
-    """What is added (with ``details``), removed and changed."""
+    """The declarations that are added (with ``details``), removed and changed."""
     for name in sorted({*old, *new}):
         subject = f"{kind} {name}"
         if name not in old:

@@ -34,7 +34,7 @@ class Step:
 
     @property
     def is_structural(self) -> bool:
-        """Whether it changes what is live or attached."""
+        """Return whether the step changes what is live or attached."""
         return self.action.is_structural
 
     def describe(self) -> str:

@@ -35,7 +35,7 @@ class Replaced:
 
 
 class RoleBounds:
-    """What the creations and removals of each role cost at least, from any state of that role alone.
+    """The least cost of the creations and removals of each role, from any state of that role alone.
 
     All other roles are as favourable as they can be, except that a creation needs room: what has to be absent for it,
     of each resource by itself, is lost meanwhile.
@@ -65,7 +65,7 @@ class RoleBounds:
         self._rooms: dict[int, float] = {}
 
     def of(self, state: int) -> float:
-        """What is lost at least between ``state`` and the end."""
+        """The least loss between ``state`` and the end."""
         own = state & self.timed
         room = self._rooms.get(own)
         if room is None:
@@ -175,7 +175,7 @@ class RoleBounds:
         return best
 
     def _is_possible(self, bit: int, done: int) -> bool:
-        """Whether what the action is about has been created."""
+        """Return whether the subject of the action has been created."""
         return not self.part.live[bit] & self.timed & ~done
 
     def _state(self, place: int, own: int) -> int:

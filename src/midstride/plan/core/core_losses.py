@@ -1,4 +1,4 @@
-"""What is lost in a state of a part of the conflict core (:mod:`midstride.plan.core.conflict_core`), memoised.
+"""The loss in a state of a part of the conflict core (:mod:`midstride.plan.core.conflict_core`), memoised.
 
 The functionalities that the part can lower are compiled to integers once, with the topics between them. A state then
 costs one walk over what it lowers: ``best`` as the fixed point of :mod:`midstride.model.best`, from the top.
@@ -180,7 +180,7 @@ class PartLosses:
             ]
 
     def _absent_without(self, op: Op) -> tuple[bool, tuple[int, ...]]:
-        """Whether it is not being done that takes something away, and which functionalities that concerns."""
+        """Return whether ``op`` takes something away until it is done, and the functionalities that this concerns."""
         numbers = self._number
         if op.port is None:
             refs = self.full.instances[op.instance].functionality_refs()

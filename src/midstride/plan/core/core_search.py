@@ -103,7 +103,7 @@ class PartSearch:
         return found
 
     def _is_due(self, bit: int, state: int) -> bool:
-        """Whether what an action is about exists, and the user's orders allow it now."""
+        """Return whether the subject of an action exists, and the user's orders allow it now."""
         after = self.part.after[bit] | self.part.live[bit]
         return state & after == after
 

@@ -159,7 +159,7 @@ def _movable(change: Change) -> Iterator[str]:
 
 
 def _helpers(full: Configuration, lowered: Collection[FunctionalityRef]) -> Iterator[FunctionalityRef]:
-    """What supplies the functionalities that can be lowered, at any distance, and could supply more than it does."""
+    """The functionalities that supply those which can be lowered, at any distance, and could supply more than now."""
     seen, pending = set(lowered), list(lowered)
     while pending:
         ref = pending.pop()

@@ -79,7 +79,7 @@ class SearchState:
 
     @property
     def only_removals_left(self) -> bool:
-        """Whether everything new is in place: only detaching and removing is left."""
+        """Return whether everything new is in place: only detaching and removing is left."""
         return not (self.creates or self.attaches or self.swaps)
 
     # -- what needs no decision ------------------------------------------------------------------------
@@ -133,7 +133,9 @@ class SearchState:
         return replace(self, builder=builder, creates=_without(self.creates, names))
 
     def is_superseded(self, name: str) -> bool:
-        """Whether an instance that leaves has been replaced already, and nothing relies on its outputs any more."""
+        """Return whether an instance that leaves has been replaced already, and nothing relies on its outputs any
+        more.
+        """
         new = self.builder.change.replaced.get(name)
         return new in self.builder.configuration.instances and new not in self.swaps
 
@@ -193,12 +195,14 @@ class SearchState:
         return replace(self, builder=self.builder.hand_over(self.swaps[new]), swaps=_without(self.swaps, (new,)))
 
     def _may_wait(self, new: str, swaps: Iterable[Swap]) -> bool:
-        """Whether it may be better to hand over later, or not at all, because of a topic that is full."""
+        """Return whether handing over later may be better, or not at all, because of a topic that is full."""
         waiting = any(port.instance == new and self._is_capped(connector) for port, connector in self.attaches)
         return not self.eager and (waiting or self.is_contended(swaps))
 
     def is_contended(self, swaps: Iterable[Swap]) -> bool:
-        """Whether another output could use a slot that these swaps hand on, if the slot were given up instead."""
+        """Return whether another output could use a slot that these swaps hand on, if the slot were given up
+        instead.
+        """
         return not self.eager and any(self._is_capped(swap.connector) and self._is_awaited(swap) for swap in swaps)
 
     def _is_awaited(self, swap: Swap) -> bool:
@@ -215,7 +219,7 @@ class SearchState:
         return self.builder.change.role_of(new) in unblocked and all(self.can_take_over(swap) for swap in swaps)
 
     def can_take_over(self, swap: Swap) -> bool:
-        """Whether the new output, in its current mode, satisfies the topic."""
+        """Return whether the new output, in its current mode, satisfies the topic."""
         configuration = self.builder.configuration
         ready = swap.new.instance in configuration.instances and configuration.is_attached(swap.old, swap.connector)
         return ready and self.satisfies_topic(swap.new, swap.connector)
@@ -225,7 +229,7 @@ class SearchState:
         return satisfies(configuration.guarantee(output), configuration.context.connectors[connector].guarantee)
 
     def lowers_role(self, swaps: tuple[Swap, ...]) -> bool:
-        """Whether the role would fall below its baseline, or further below it, by handing over now."""
+        """Return whether the role would fall below its baseline, or further below it, by handing over now."""
         meter = self.builder.meter
         after = Handover(swaps).effect(self.builder.configuration)
         below = meter.levels.below(after, self.builder.change.role_of(swaps[0].new.instance))

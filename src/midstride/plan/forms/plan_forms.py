@@ -61,7 +61,7 @@ StartModes: TypeAlias = Annotated[
 
 
 class DetourForm(PlanPart, frozen=True, kw_only=True):
-    """What one role does beyond the change: it moves away and back, or has a stand-in, or both."""
+    """The steps of one role beyond the change: it moves away and back, or has a stand-in, or both."""
 
     what: ClassVar[str] = "a detour"
 
@@ -71,7 +71,7 @@ class DetourForm(PlanPart, frozen=True, kw_only=True):
 
 
 class BoundPartForm(PlanPart, frozen=True, kw_only=True):
-    """What the creations and removals of some roles lose at least, whatever the others do."""
+    """The least loss by the creations and removals of some roles, whatever the others do."""
 
     what: ClassVar[str] = "a part of a bound"
 
@@ -94,7 +94,7 @@ Detours: TypeAlias = Annotated[list[DetourForm], field("a list of detours", "wha
 
 
 class PlanCosts(PlanPart, frozen=True, kw_only=True):
-    """What a plan costs and why."""
+    """The costs of a plan, and their reasons."""
 
     what: ClassVar[str] = "a plan"
 

@@ -27,7 +27,7 @@ class NewNode(NodeForm, frozen=True, kw_only=True):
 
 
 class ChangeRequest(Form, frozen=True):
-    """What is asked for: single changes, or a whole specification (`to`) to change to."""
+    """A request for a change: single changes, or a whole specification (`to`) to change to."""
 
     what: ClassVar[str] = "a request"
 

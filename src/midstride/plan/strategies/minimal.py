@@ -57,7 +57,7 @@ class Candidate:
 
     @property
     def is_free(self) -> bool:
-        """Whether nothing is lost, nothing falls and no constraint is broken."""
+        """Return whether nothing is lost, nothing falls and no constraint is broken."""
         return self.key[:3] == (False, 0.0, 0)
 
 
@@ -171,7 +171,7 @@ def _find(
 
 
 def _shares_a_capped_topic(change: Change) -> bool:
-    """Whether several outputs come to one capped topic, so that a slot may be better given to another output."""
+    """Return whether several outputs come to one capped topic, so that a slot may be better given to another output."""
     connectors = change.start.context.connectors
     coming = Counter(
         connector
@@ -237,7 +237,7 @@ def _search(
 
 
 def _priority(state: SearchState) -> tuple[bool, float, float, int]:
-    """Whether a state is doomed; roughly what it will have cost once everything that fell is restored."""
+    """The rank of a state: is it doomed, and what will it have cost, roughly, once everything that fell is restored?"""
     change, meter = state.builder.change, state.builder.meter
     roles = {ref.instance for ref in meter.below}
     awaited = [change.seconds("create", i.component) for i in state.creates.values() if i.role in roles]

@@ -97,7 +97,7 @@ def _group(configuration: Configuration, overlay: Modes, wanted: Modes, ordered:
     """A smallest group of ``wanted`` that can be upgraded together, where none can be upgraded alone."""
 
     def supports(group: Refs, asked: Refs) -> bool:
-        """Whether each of ``asked`` is satisfied once the group is upgraded."""
+        """Return whether each of ``asked`` is satisfied once the group is upgraded."""
         evaluator = Evaluator(configuration, {**overlay, **{ref: wanted[ref] for ref in group}})
         return all(evaluator.mode_satisfied(ref, wanted[ref]) for ref in asked)
 

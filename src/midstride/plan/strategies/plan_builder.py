@@ -57,7 +57,7 @@ class PlanBuilder:
 
     @property
     def is_doomed(self) -> bool:
-        """Whether a constraint is broken that no further step can repair."""
+        """Return whether a constraint is broken that no further step can repair."""
         return self.monitor is not None and self.monitor.is_doomed(self.meter)
 
     def do(self, *actions: Action) -> PlanBuilder:
