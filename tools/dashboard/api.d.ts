@@ -60,7 +60,7 @@ declare namespace Api {
     between?: [number, number];
   }
 
-  /** What the creations and removals of some roles lose at least, whatever the others do. */
+  /** The least loss by the creations and removals of some roles, whatever the others do. */
   interface BoundPartForm {
     roles: string[];
     /** in weighted functionality-seconds */
@@ -131,7 +131,7 @@ declare namespace Api {
     incidents: Incident[];
   }
 
-  /** What is asked for: single changes, or a whole specification (`to`) to change to. */
+  /** A request for a change: single changes, or a whole specification (`to`) to change to. */
   interface ChangeRequest {
     /** [node, component] pairs */
     replace?: [string, string][];
@@ -340,7 +340,7 @@ declare namespace Api {
     between?: [number, number];
   }
 
-  /** What one role does beyond the change: it moves away and back, or has a stand-in, or both. */
+  /** The steps of one role beyond the change: it moves away and back, or has a stand-in, or both. */
   interface DetourForm {
     role: string;
     /** a node that stays is replaced by one like it */

@@ -1,4 +1,4 @@
-"""What runs inside a component's process: the author's API, mode switching, and the agent that obeys the manager."""
+"""The inside of a component's process: the author's API, mode switching, and the agent that obeys the manager."""
 
 PUBLIC = (
     "ClockHistory DiagnosticEntry GoalAnswers HOLD HeldParameter Host MessageInfo NodeParameters PassableRequest "

@@ -1,4 +1,4 @@
-"""What a back end gives to a component's process: the only way ``node`` reaches ROS.
+"""The interface of a back end to a component's process: the only way ``node`` reaches ROS.
 
 There are two threads. The *data* thread runs user code and owns the endpoints. The *control* thread is an asyncio loop
 that runs the agent and never user code. Whatever touches endpoints or modes goes through :meth:`Host.on_data`, and so
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class MessageInfo:
-    """What the middleware reports about a received message; None where it cannot.
+    """The middleware's report of a received message; None where it has none.
 
     ``source`` is the time of publication (ns), ``number`` the publisher's own count,
     ``publisher`` an opaque identity of the publishing endpoint. ``stamp`` is the time in
@@ -52,7 +52,7 @@ class Publisher(Protocol):
         """
 
     async def acknowledged(self, timeout: float) -> bool | None:
-        """Whether every matched reliable reader has received everything; None where that is unknown.
+        """Return whether every matched reliable reader has received everything; None where that is unknown.
 
         Awaited on the control thread; blocks neither thread.
         """
@@ -99,7 +99,7 @@ class CalledService(Protocol):
 
 
 class GoalAnswers(Protocol):
-    """What an action server does with goals."""
+    """The decisions of an action server about goals."""
 
     def accepts(self, goal: Any) -> bool: ...
 
@@ -180,7 +180,7 @@ class Host(Protocol):
 
     @property
     def simulated_time(self) -> bool:
-        """Whether ``/clock`` drives the ROS clock."""
+        """Return whether ``/clock`` drives the ROS clock."""
 
     # Whether messages' times of publication are on the ROS clock, also where `/clock` drives it.
     publishes_ros_time: bool
@@ -270,7 +270,9 @@ class Host(Protocol):
         """
 
     def discovers(self, topic: str) -> bool | None:
-        """Whether the middleware shows a publisher on ``topic``; None where it has no discovery that could stop."""
+        """Return whether the middleware shows a publisher on ``topic``; None where it has no discovery that could
+        stop.
+        """
 
     def extra_endpoints(self) -> list[Endpoint]:
         """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""

@@ -35,7 +35,7 @@ class DiagnosticEntry:
 
 
 def diagnostics(state: ComponentState, component: ComponentSpec) -> list[DiagnosticEntry]:
-    """What a component shows of itself. STALE while it waits for its clock: then nothing can be measured."""
+    """The diagnostics of a component. STALE while it waits for its clock: then nothing can be measured."""
     modes = {name: each.mode for name, each in state.functionalities.items()}
     relied_on = _relied_on(component, modes)
     entries = [_component(state, component)]

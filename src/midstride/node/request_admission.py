@@ -109,7 +109,9 @@ class RequestAdmission:
         passable: PassableRequest | None = None,
         asks_for: str | None = None,
     ) -> bool:
-        """Whether to handle ``request`` now. Else ``later`` is called if admission opens before a peer has handled it.
+        """Return whether to handle ``request`` now.
+
+        Else ``later`` is called if admission opens before a peer has handled it.
 
         ``passable``: how it is passed on to a successor that has not received it; None where it cannot be.
         ``asks_for``: the goal that it asks for. ``request`` identifies it: the same for every server that receives it,
@@ -218,7 +220,7 @@ class RequestAdmission:
 
     @property
     def busy(self) -> bool:
-        """Whether a request is being handled."""
+        """Return whether a request is being handled."""
         return bool(self._unfinished)
 
     @property

@@ -16,7 +16,7 @@ StandaloneTopics = Mapping[str, Sequence[str]]
 
 
 def remappings(arguments: Sequence[str], component: ComponentSpec) -> StandaloneTopics | None:
-    """What ``--standalone`` says: each port's topics; None where that is not given. Raises NodeError for a wrong port.
+    """The topics of each port by ``--standalone``; None where that is not given. Raises NodeError for a wrong port.
 
     The remappings are what follows the flag as ``port:=/topic``; every other argument is the author's or ROS's
     (a launch file of ROS 1 adds ``__name:=…``).

@@ -158,7 +158,9 @@ def _request(command: Command[Any], revision: int | None, id: str) -> frames.Req
 
 
 async def in_time(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:
-    """What ``work`` returns. Raises CallTimeout with ``words`` after ``timeout`` seconds, and ends it."""
+    """Await ``work``, and return its result. Raises CallTimeout with ``words`` after ``timeout`` seconds, and
+    ends it.
+    """
     task = asyncio.get_running_loop().create_task(work)
     try:
         await asyncio.wait({task}, timeout=timeout)

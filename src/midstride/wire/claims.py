@@ -94,7 +94,7 @@ class FileClaim:
         return fcntl.fcntl(self._descriptor, request, lock)
 
     def _open(self) -> bool:
-        """Whether the file can be used."""
+        """Return whether the file can be used."""
         if self._descriptor is None:
             try:
                 self._descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)

@@ -97,7 +97,7 @@ class GridCommand(Command[Grid], frozen=True, kw_only=True, tag="grid"):
 
 
 class RecordsCommand(Command[Records], frozen=True, kw_only=True, tag="records"):
-    """What an input has recorded."""
+    """The command for the recording of an input."""
 
     kind = "reading"
     input: str

@@ -50,5 +50,5 @@ def workspace_folder(system: str) -> Path:
 
 
 def _is_shared(info: os.stat_result) -> bool:
-    """Whether another user's folder is meant to be used by this one, which has then named it, and not by everyone."""
+    """Return whether another user's folder is meant for this one, which has then named it, and not for everyone."""
     return bool(os.environ.get("XDG_RUNTIME_DIR")) and stat.S_IMODE(info.st_mode) & 0o022 == 0o020

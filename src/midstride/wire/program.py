@@ -66,7 +66,9 @@ class FileFingerprint(WireValue, frozen=True, kw_only=True):
 
 
 class Program(WireValue, frozen=True, kw_only=True):
-    """What is known of a running program. ``started``: unix ns; ``complete``: whether all its modules are listed."""
+    """A running program, as far as it is known. ``started``: unix ns; ``complete``: whether all its modules are
+    listed.
+    """
 
     files: list[FileFingerprint]
     started: int

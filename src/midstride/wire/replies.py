@@ -1,4 +1,4 @@
-"""What the components reply to the commands of the control plane, which are in ``commands``.
+"""The replies of components to the commands of the control plane, which are in ``commands``.
 
 Times are integers of nanoseconds on the ROS clock unless stated otherwise; durations are seconds. Each attached output
 has a *gate*: while it is closed, what the component writes is counted and type-checked, and not published.
@@ -59,7 +59,7 @@ class Receipt(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Records(WireValue, frozen=True, kw_only=True):
-    """What an input has recorded. ``now`` is the steady clock (ns).
+    """The recording of an input. ``now`` is the steady clock (ns).
 
     ``moments``: how the ROS clock has moved meanwhile, where ``/clock`` drives it; else None. ``ros_sources``: times of
     publication are on that clock.
@@ -95,7 +95,7 @@ class FetchedState(WireValue, frozen=True, kw_only=True):
 
 
 class StateOffer(WireValue, frozen=True, kw_only=True):
-    """What a component exports at a cut: of ``changes``, the bulk has to move before.
+    """The offer of a component to export state at a cut: of ``changes``, the bulk has to move before.
 
     ``order``: no state, but what it is to publish may still be waiting in it, and nothing newer may be published first.
     """
@@ -104,7 +104,7 @@ class StateOffer(WireValue, frozen=True, kw_only=True):
 
     @property
     def has_state(self) -> bool:
-        """Whether state moves, and not only the order of messages."""
+        """Return whether state moves, and not only the order of messages."""
         return self.exports in ("whole", "changes")
 
 
@@ -240,7 +240,9 @@ class Idle(WireValue, frozen=True, kw_only=True):
 
 
 class Discovered(WireValue, frozen=True, kw_only=True):
-    """Whether the middleware of the component shows the endpoint; None where it has no discovery that could stop."""
+    """The answer whether the middleware of the component shows the endpoint; None where it has no discovery that
+    could stop.
+    """
 
     found: bool | None
 

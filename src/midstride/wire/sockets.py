@@ -185,7 +185,7 @@ async def open_socket(path: Path, name: str) -> tuple[asyncio.StreamReader, asyn
 
 
 def _answers(path: Path) -> bool:
-    """Whether something listens at ``path``: the socket file may be left over from a killed process."""
+    """Return whether something listens at ``path``: the socket file may be left over from a killed process."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
             _connect(probe, path)

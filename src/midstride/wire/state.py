@@ -1,4 +1,4 @@
-"""What a component reports: its registration, once, and its state, after every change."""
+"""The reports of a component: its registration, once, and its state, after every change."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class FunctionalityState(WireValue, frozen=True, kw_only=True):
 
 
 class Measured(WireValue, frozen=True, kw_only=True):
-    """What was measured of the messages of one attachment, on the node's ROS clock, in the last ``window`` seconds.
+    """The measurements of the messages of one attachment, on the node's ROS clock, in the last ``window`` seconds.
 
     ``covered`` seconds of the window are measured: less than all of it soon after the attachment. ``rate`` (Hz) is then
     None before the second message; it is 0 once the window has none. ``age``: seconds since the last message, None
@@ -82,14 +82,16 @@ class Measured(WireValue, frozen=True, kw_only=True):
     longest: float | None = None
 
     def meets(self, rate: float) -> bool | None:
-        """Whether a declared rate (Hz) is kept, to within ``RATE_TOLERANCE``; None until a whole window is measured."""
+        """Return whether a declared rate (Hz) is kept, to within ``RATE_TOLERANCE``; None until a whole window is
+        measured.
+        """
         if self.covered < self.window:
             return None
         return (self.rate or 0.0) >= (1 - RATE_TOLERANCE) * rate
 
 
 class MeasuredResponses(WireValue, frozen=True, kw_only=True):
-    """What was seen of the server at one attachment, which has a bound of ``within`` (s).
+    """The responses of the server at one attachment, which has a bound of ``within`` (s).
 
     It has ``answered`` so many of the requests that were looked at, ``late`` of these later than the bound.
     ``longest``: the longest that one has taken since the last look (s), None where none was answered. ``silent``: for

@@ -1,4 +1,4 @@
-"""What a transport of the control plane is: addresses, connections, listening, and finding components."""
+"""The interface of a transport of the control plane: addresses, connections, listening, and finding components."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class CutClaim(Protocol):
     """
 
     def take(self) -> bool:
-        """Whether this side has it now. Does not wait."""
+        """Take the claim if it is free; return whether this side has it now. Does not wait."""
 
     def renounce(self) -> bool:
         """Never take it from now on, unless this side has it; whether it has not."""

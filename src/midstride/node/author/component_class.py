@@ -306,7 +306,7 @@ class Component:
 
     @property
     def is_live(self) -> bool:
-        """Whether what a mode writes now is published on some topic.
+        """Return whether a message that a mode writes now is published on some topic.
 
         False behind the gate: before this component takes over from another, and after another has taken over from it.
         Ask it on the data thread before you act otherwise than by an output, as with a device or a service. A component

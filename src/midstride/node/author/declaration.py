@@ -1,4 +1,4 @@
-"""What an author declares of a component, and the model's component made of it, checked against the model's rules."""
+"""An author's declaration of a component, and the model's component made of it, checked against the model's rules."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def between(low: float, high: float) -> Interval:
 
 @dataclass(frozen=True, slots=True)
 class Guarantee:
-    """What a mode guarantees for an output. Created by :func:`guarantee`."""
+    """The guarantee of a mode for an output. Created by :func:`guarantee`."""
 
     rate: float | None
     where: tuple[tuple[str, ValueSet], ...]
@@ -50,7 +50,7 @@ NO_PROMISE: Final = Guarantee(None, ())
 
 
 def guarantee(rate: float | None = None, where: FieldConditions | None = None) -> Guarantee:
-    """What a mode guarantees for an output: ``guarantees={out: guarantee(rate=20, where={"width": 640})}``.
+    """State the guarantee of a mode for an output: ``guarantees={out: guarantee(rate=20, where={"width": 640})}``.
 
     ``rate`` is in Hz; ``where`` is written as for ``Component.create_input`` (docs/semantics.md section 1). Raises
     NodeError.

@@ -93,5 +93,5 @@ class FieldChecks:
         self.violated = not all(met)
 
     def samples(self) -> dict[str, FieldSamples]:
-        """What the checks have found, by field."""
+        """The findings of the checks, by field."""
         return {each.path: each.samples() for each in self._constraints}

@@ -64,7 +64,7 @@ class MessageTimes:
         return _age(self.last() or 0, self._now())
 
     def measured(self, window: float) -> Measured:
-        """What was measured in the last ``window`` seconds, or since the first message that is kept.
+        """The measurements of the last ``window`` seconds, or since the first message that is kept.
 
         A gap between messages that began before the window counts in proportion. The time since the last message
         counts as a gap once it is longer than the mean gap. So the rate of a regular publisher does not depend on the

@@ -58,7 +58,7 @@ class DeclaredMode:
         return None if self.rate is None else 1.0 / self.rate
 
     def promise(self, port: Output) -> Guarantee:
-        """What it guarantees for an output. Its rate is that of its calls, unless another one is stated."""
+        """The guarantee of the mode for an output. Its rate is that of its calls, unless another one is stated."""
         stated = self.guarantees.get(port, NO_PROMISE)
         if port not in self.outputs or stated.rate is not None:
             return stated

@@ -39,7 +39,7 @@ class GatePolicy(Protocol):
     """A cut in progress: decides, write by write, what passes a gate (midstride.node.handover.cut)."""
 
     def passes(self, link: OutputLink) -> bool:
-        """Whether what is written now may be published."""
+        """Return whether a message that is written now may be published."""
 
     def admits(self, link: OutputLink) -> bool:
         """True where it passes, and will: the other side of the cut publishes nothing from now on."""
@@ -129,7 +129,7 @@ class OutputLink:
 
     @property
     def lets_pass(self) -> bool:
-        """Whether a message that is written now is published."""
+        """Return whether a message that is written now is published."""
         return not self.fenced and (self.open or (self.cut is not None and self.cut.passes(self)))
 
     @property
@@ -139,7 +139,7 @@ class OutputLink:
 
     @property
     def fenced(self) -> bool:
-        """Whether nothing passes, however the gate is set."""
+        """Return whether nothing passes, however the gate is set."""
         return self.publish == self._drop
 
     def fence(self, on: bool) -> None:
@@ -261,7 +261,7 @@ class _Port(Generic[L]):
 
     @property
     def attached(self) -> bool:
-        """Whether the port is attached to a topic."""
+        """Return whether the port is attached to a topic."""
         return bool(self.links)
 
     def link(self, topic: str) -> L | None:
@@ -300,11 +300,11 @@ class Output(_Port[OutputLink]):
         self.fields = FieldChecks()
 
     def guaranteed(self, promise: Guarantee) -> Predicate:
-        """What a mode with this ``promise`` guarantees, in the model's terms."""
+        """The guarantee of a mode with this ``promise``, in the model's terms."""
         return Predicate(type_name(self.type), promise.rate, self.qos, promise.where)
 
     def promise(self, guaranteed: Guarantee) -> None:
-        """What the current mode guarantees, from now on; a rate that has changed is measured afresh."""
+        """Set the guarantee of the current mode, from now on; a rate that has changed is measured afresh."""
         self.fields.require(guaranteed.where)
         if guaranteed.rate != self.rate:
             self.rate = guaranteed.rate
@@ -432,7 +432,9 @@ class Input(_Port[InputLink]):
 
     @property
     def denied(self) -> bool:
-        """Whether it is a condition that does not hold, by the last message on every topic that it has received."""
+        """Return whether the input is a condition that does not hold, by the last message on every topic that it has
+        received.
+        """
         if not self.condition:
             return False
         received = [link for link in self.links if link.count]
@@ -463,7 +465,7 @@ class Input(_Port[InputLink]):
 
     @property
     def recording(self) -> bool:
-        """Whether it records, as while a plan exchanges publishers of its topic."""
+        """Return whether the input records, as while a plan exchanges publishers of its topic."""
         return self.receipts.maxlen == RECORDED
 
     def record(self, on: bool) -> None:

@@ -133,7 +133,7 @@ class ServerPort(Output):
 
     @property
     def stays(self) -> bool:
-        """Whether it is in the graph in modes that do not serve."""
+        """Return whether the server is in the graph in modes that do not serve."""
         return self.refusal is not None
 
     def promise(self, guaranteed: Guarantee) -> None:
@@ -214,11 +214,11 @@ class ActionServerPort(ServerPort):
         return True
 
     def accepts(self, goal: Any) -> bool:
-        """Whether to accept ``goal``, a request for one: never in a mode that does not serve."""
+        """Return whether to accept ``goal``, a request for one: never in a mode that does not serve."""
         return self.serving and (self._accepts is None or bool(self._accepts(goal)))
 
     def cancels(self, goal: Any) -> bool:
-        """Whether to cancel a goal that is being executed."""
+        """Return whether to cancel a goal that is being executed."""
         return self._cancels is None or bool(self._cancels(goal))
 
     async def execute(self, goal: Any) -> Any:
@@ -336,7 +336,7 @@ class ClientPort(Input):
 
     @property
     def _waits(self) -> bool:
-        """Whether a request waits for the server to be discovered."""
+        """Return whether a request waits for the server to be discovered."""
         return any(call.send is not None for call in list(self._calls.values()))
 
     def _send_waiting(self, host: Host) -> None:
@@ -348,7 +348,7 @@ class ClientPort(Input):
 
     @property
     def ready(self) -> bool:
-        """Whether its server is in the graph."""
+        """Return whether the server of the client is in the graph."""
         return any(link.endpoint.matched() > 0 for link in self.links)
 
     @property

@@ -48,7 +48,7 @@ class Attachments:
 
     @property
     def relays(self) -> bool:
-        """Whether messages of another program pass through an output."""
+        """Return whether messages of another program pass through an output."""
         return any(output.relayed for output in self.parts.outputs.values())
 
     def port(self, name: str) -> Input | Output:

@@ -1,4 +1,4 @@
-"""What each command of wire/commands.py does to a component. Control thread.
+"""The commands of wire/commands.py, carried out on a component. Control thread.
 
 Every handler checks before it changes something, and undoes what it did where it fails half-way: a refused command has
 changed nothing.
@@ -529,7 +529,10 @@ class _Seen(NamedTuple):
 
 
 def _is_shown(parameter: _Seen) -> bool:
-    """Whether it is in the component's state. Of those that every node has, only what was set at run time is."""
+    """Return whether a parameter is in the component's state.
+
+    Of those that every node has, only what was set at run time is.
+    """
     if parameter.value is None:
         return False
     return parameter.name not in ROS_PARAMETERS or parameter.is_set

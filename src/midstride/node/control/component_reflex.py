@@ -51,12 +51,12 @@ class Fall:
 
     @property
     def waits(self) -> bool:
-        """Whether the data thread has not come to it yet, and nothing shows it."""
+        """Return whether the data thread has not come to the fall yet, and nothing shows it."""
         return not (self.attempted or self.shown or self.switch.decision.made())
 
 
 class Watch:
-    """What the current mode of a functionality relies on and promises, counted since it was entered."""
+    """The assumptions and promises of a functionality's current mode, counted since it was entered."""
 
     def __init__(self, runner: FunctionalityRunner) -> None:
         self.runner = runner
@@ -122,7 +122,9 @@ class Watch:
         return []
 
     def _broken(self, port: Input, speed: float, share: float = 1.0) -> bool:
-        """Whether its condition does not hold, or it lacks more than that share of what is tolerated."""
+        """Return whether the condition of ``port`` does not hold, or it lacks more than that share of what is
+        tolerated.
+        """
         shortfall = self.inputs[port]
         if shortfall.in_order:  # in most cases, and then what is tolerated need not be known
             return port.denied
@@ -320,7 +322,7 @@ class Reflex:
         return fall
 
     def _withdraw(self, fall: Fall) -> bool:
-        """Whether ``fall`` has not happened, and will not."""
+        """Return whether ``fall`` has not happened, and will not."""
         withdrawn = fall.switch.decision.make()
         if withdrawn:
             self.host.on_data(fall.switch.release)

@@ -72,7 +72,7 @@ class Fencing:
         return replies.FencedOutputs(last={str(link): link.count for link in links})
 
     def _writing(self) -> bool:
-        """Whether the data thread is in the middle of a write, which may have found the gate open.
+        """Return whether the data thread is in the middle of a write, which may have found the gate open.
 
         Looking at its stack costs a write nothing, unlike a lock.
         """

@@ -1,4 +1,4 @@
-"""Whether an output keeps the rate that it promises (docs/protocols/probation.md).
+"""The judgement whether an output keeps the rate that it promises (docs/protocols/probation.md).
 
 The rate is that over a sliding window, and no pause may be long: neither a burst before a stall nor one after it makes
 up for the stall. What counts as kept leaves room for jitter, and what counts as broken leaves more: between the two
@@ -43,7 +43,7 @@ class RateWatch:
 
     @property
     def complete(self) -> bool:
-        """Whether a whole window has passed."""
+        """Return whether a whole window has passed."""
         return self._now - self._begun >= self._window
 
     @property

@@ -100,7 +100,10 @@ class Answering:
         self.changed()
 
     async def _yielded(self, peer: str, address: str) -> replies.Yielded | None:
-        """What the predecessor has handled; None if it has exited. Raises CommandRefused if it may still answer."""
+        """Ask which requests the predecessor has handled; None if it has exited.
+
+        Raises CommandRefused if it may still answer.
+        """
         stop = commands.YieldCommand(address=self.own_address())
         for _ in range(YIELD_ATTEMPTS):
             try:
@@ -137,7 +140,7 @@ class Answering:
 
     @property
     def has_successor(self) -> bool:
-        """Whether another instance answers instead."""
+        """Return whether another instance answers instead."""
         return self._successor is not None
 
     def undecided(self) -> list[str]:

@@ -1,4 +1,4 @@
-"""What a stream of messages lacks of its promised rate: the rule that tells jitter from breakage.
+"""The shortfall of a stream of messages from its promised rate: the rule that tells jitter from breakage.
 
 docs/protocols/reflex.md. Silence breaks a stream after a stated number of periods. A stream that is
 merely slow has more time, since a busy machine may be the cause: of a share of the promised messages, what is missing
@@ -69,7 +69,7 @@ class Shortfall:
 
     @property
     def in_order(self) -> bool:
-        """Whether a message has come since it was last asked for, and nothing is lacking."""
+        """Return whether a message has come since the last call of this, and nothing is lacking."""
         return not self.silent and not self._lacking
 
     def halve(self) -> None:
@@ -84,7 +84,9 @@ class Shortfall:
         return counted(self.came, "message"), self.periods / rate
 
     def exceeds(self, periods: float, slow: bool = True) -> bool:
-        """Whether it has been silent for more than so many periods or, with ``slow``, too slow for longer."""
+        """Return whether the stream has been silent for more than ``periods`` or, with ``slow``, too slow for
+        longer.
+        """
         return self.silent > periods or (slow and self._lacking > SLOW * SHARE * periods)
 
 

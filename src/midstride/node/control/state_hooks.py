@@ -22,7 +22,7 @@ class StateHooks:
     data: DataExecutor
 
     def exports(self, to_changes: bool) -> Literal["nothing", "whole", "changes"]:
-        """What is exported at a cut to a component that can, or cannot, import changes."""
+        """The export at a cut to a component that can, or cannot, import changes."""
         if self.callbacks.export_state is None:
             return "nothing"
         return "changes" if to_changes and self.callbacks.export_changes is not None else "whole"

@@ -114,7 +114,7 @@ class FunctionalityRunner(OutputOwner):
 
     @property
     def switching(self) -> bool:
-        """Whether a mode change waits for an async call to end."""
+        """Return whether a mode change waits for an async call to end."""
         return self._switch is not None
 
     @property

@@ -41,7 +41,7 @@ async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio
 
 
 class FirstDecision:
-    """Whether something happens (data thread) or is withdrawn (control thread): the first of them decides."""
+    """The decision whether something happens (data thread) or is withdrawn (control thread): the first one decides."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()  # never released

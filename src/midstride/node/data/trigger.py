@@ -1,4 +1,4 @@
-"""What drives a mode: a time grid, messages, sets of messages, or only its entry.
+"""The triggers that drive a mode: a time grid, messages, sets of messages, or only its entry.
 
 A trigger exists from the mode's entry to its end, on the data thread. It has the runner call functions, and says what
 places each call in time: a slot of the grid, or the messages that it answers.

@@ -22,7 +22,7 @@ class BatonState(IntEnum):
 
 
 class BatonStep(IntEnum):
-    """What is done with a baton besides publishing (``baton_*`` in baton.h)."""
+    """The steps with a baton besides publishing (``baton_*`` in baton.h)."""
 
     NAME_SUCCESSOR = 0
     WITHDRAW = 1

@@ -35,7 +35,9 @@ Written = tuple[int, int]  # the publisher's number, and when
 
 
 def belongs_after(runner: OutputOwner, at: int, host: Host, slot: int = 0, clock: CutClock = "ros") -> bool:
-    """Whether what ``runner`` writes now belongs to the new side of a cut at ``at`` on ``clock``; ``slot`` as below."""
+    """Return whether the writes of ``runner`` now belong to the new side of a cut at ``at`` on ``clock``; ``slot`` as
+    below.
+    """
     return call_belongs_after(runner, runner.slots, runner.info, at, host, slot, clock)
 
 
@@ -67,7 +69,7 @@ def reading(host: Host, clock: CutClock) -> int:
 
 
 def comparable(host: Host, clock: CutClock, other: CutClock) -> bool:
-    """Whether the times of both clocks are of one."""
+    """Return whether the times of both clocks are of one."""
     return clock == other or not host.simulated_time or host.publishes_ros_time
 
 
@@ -100,7 +102,7 @@ class CutSide(GatePolicy):
 
     @property
     def driven_by_messages(self) -> bool:
-        """Whether a side on a moment of the clock may have nothing to write yet."""
+        """Return whether a side on a moment of the clock may have nothing to write yet."""
         return False
 
     def arm(self) -> None:
@@ -170,7 +172,7 @@ class OutgoingSide(CutSide):
         return "closed" if self.arbiter.passed_on else "open"
 
     def passed(self) -> bool:
-        """Whether everything that belongs before T has been written here. Then the gates close."""
+        """Return whether everything that belongs before T has been written here. Then the gates close."""
         return self.over
 
     def finish(self) -> None:
@@ -194,7 +196,7 @@ class OutgoingSide(CutSide):
 
     @property
     def closed(self) -> bool:
-        """Whether there is an attachment that nothing but this cut keeps closed."""
+        """Return whether nothing but this cut keeps some attachment closed."""
         return any(map(self._decides, self.links))
 
     def _decides(self, link: OutputLink) -> bool:
@@ -250,7 +252,7 @@ class OutgoingCut(_Agreed, OutgoingSide):
         return not (belongs_after(runner, self.at, self.host, clock=self.clock) or self._outdated(runner))
 
     def _outdated(self, runner: OutputOwner) -> bool:
-        """Whether a call comes so late that its message must not be heard beside the new side's."""
+        """Return whether a call comes so late that its message must not be heard beside the new side's."""
         if self.until is not None and self.now() > self.until:
             return True
         rate = runner.rate
@@ -322,7 +324,7 @@ class IncomingSide(CutSide):
 
     @property
     def refused(self) -> bool:
-        """Whether the old side keeps the right to write."""
+        """Return whether the old side keeps the right to write."""
         return self.arbiter.refused
 
     def shows(self, link: OutputLink) -> GateState:
@@ -345,7 +347,7 @@ class IncomingSide(CutSide):
             self.taken = self._take()
 
     def _take(self) -> bool:
-        """Whether this side has the right to write, and keeps it."""
+        """Return whether this side has the right to write, and keeps it."""
         if not self.arbiter.begin(0):
             return False
         self.arbiter.end()

@@ -54,17 +54,17 @@ class _CutTask(abc.ABC):
         return self.status.value
 
     def _going(self) -> bool:
-        """Whether there is no outcome yet; a cancellation may come at any await."""
+        """Return whether the cut has no outcome yet; a cancellation may come at any await."""
         return self.status is CutState.WAITING
 
     def _failed(self) -> bool:
-        """Whether this side will not write at T."""
+        """Return whether this side will not write at T."""
         return False
 
     @property
     @abc.abstractmethod
     def over(self) -> bool:
-        """Whether nothing of this cut, nor its arbiter, decides any more what this side writes."""
+        """Return whether nothing of this cut, nor its arbiter, decides any more what this side writes."""
 
     @abc.abstractmethod
     async def cancel(self) -> None: ...
@@ -74,7 +74,9 @@ class _CutTask(abc.ABC):
         """Return once it has an outcome; cancel it unless the new side has taken over."""
 
     def _jumped_back(self, by: float = JUMP) -> bool:
-        """Whether the clock of the cut has been set back since this was first asked: a simulation has started again."""
+        """Return whether the clock of the cut has been set back since this was first asked: a simulation has started
+        again.
+        """
         now = self.side.now()
         self._latest = max(self._latest, now)
         return self._latest - now > by * 1e9
@@ -152,7 +154,7 @@ class CutOutTask(_CutTask):
                 await (self.host.sleep(TICK) if self.export is None else self.export.pause())
 
     def _failed(self) -> bool:
-        """Whether the new side has written, and the clock was set back before this side noticed T."""
+        """Return whether the new side has written, and the clock was set back before this side noticed T."""
         return self._taken and self.side.now() < self.side.at and self._jumped_back(0.0)
 
     def _given_up(self) -> bool:
@@ -161,7 +163,8 @@ class CutOutTask(_CutTask):
         return self._is_overdue()
 
     def _is_overdue(self) -> bool:
-        """Whether the new side should have written ``resume_after`` ago; where messages drive it, since one arrived.
+        """Return whether the new side should have written ``resume_after`` ago; where messages drive it, since one
+        arrived.
 
         A new side on a time grid that ``/clock`` drives writes nothing while that stands still.
         """
@@ -208,7 +211,7 @@ class CutOutTask(_CutTask):
             self._taken, self.side.taken_at = True, self.host.steady()
 
     def _may_resume(self) -> bool:
-        """Whether this side may write again; else the new one has taken over, even if its report is lost."""
+        """Return whether this side may write again; else the new one has taken over, even if its report is lost."""
         if self._taken:
             return False
         if not self.side.arbiter.reclaim():
@@ -324,14 +327,14 @@ class CutInTask(_CutTask):
 
     @property
     def is_detached(self) -> bool:
-        """Whether it had attachments, and has none left."""
+        """Return whether this side had attachments, and has none left."""
         return bool(self.side.links) and not any(link in link.output.links for link in self.side.links)
 
     def _is_decided(self) -> bool:
         return bool(self.side.written) or self.side.taken or self.side.refused or self._failed()
 
     def _failed(self) -> bool:
-        """Whether, before the first write, the author's code has raised, the clock jumped back, or no state came."""
+        """Return whether the author's code raised, the clock jumped back or no state came, before the first write."""
         if self.state is not None and self.state.failed:
             return True
         failed = self._jumped_back() or any(link.output.owner.failed for link in self.side.links)

@@ -126,7 +126,7 @@ class HandoverCommands:
         return replies.Done()
 
     async def _ask(self, command: commands.MeetCommand | commands.PrepareStateCommand, question: Command[R]) -> R:
-        """What the peer of ``command`` replies, in several short attempts. Raises CommandRefused."""
+        """Ask the peer of ``command``, in several short attempts. Raises CommandRefused."""
         deadline = self.host.steady() + int(command.timeout * 1e9)
         while True:
             try:
@@ -403,7 +403,7 @@ class HandoverCommands:
 
 
 def _in_order(links: Sequence[OutputLink]) -> bool:
-    """Whether all messages that drive these outputs come from one publisher: a newer one then follows all older."""
+    """Return whether one publisher drives these outputs by its messages: a newer one then follows all older."""
     inputs = {port for link in links for port in link.output.owner.driving}
     attachments = [link for port in inputs for link in port.links]
     return len(attachments) == 1 and attachments[0].endpoint.matched() == 1

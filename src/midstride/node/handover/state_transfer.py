@@ -72,7 +72,9 @@ def _drop(runner: FunctionalityRunner, call: Call) -> Admission:
 
 @dataclass(eq=False)
 class _Transfer(abc.ABC):
-    """What both sides share. ``_armed``: how many cuts the pair has agreed so far; ``_ended``: those that are over.
+    """The common part of both sides.
+
+    ``_armed``: how many cuts the pair has agreed so far; ``_ended``: those that are over.
 
     Where no output is cut (``_moments`` is empty), a side that does not take part in the work makes no calls.
     """
@@ -88,7 +90,7 @@ class _Transfer(abc.ABC):
 
     @property
     def complete(self) -> bool:
-        """Whether all cuts of the pair have been agreed."""
+        """Return whether all cuts of the pair have been agreed."""
         return self._armed == self.transfer.cuts
 
     @property
@@ -103,7 +105,7 @@ class _Transfer(abc.ABC):
 
     @abc.abstractmethod
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
-        """Whether a call is made, held back, or dropped."""
+        """Return whether a call is made, held back, or dropped."""
 
     def release(self, make: bool) -> None:
         """Hold nothing back any more; ``make`` the calls that were, or drop them."""
@@ -212,7 +214,7 @@ class StateExport(_Transfer):
         return self.host.steady() if self._heard_at is None else self._heard_at
 
     def given_up(self, patience: float) -> bool:
-        """Whether the old side resumes because of the transfer: another cut has, or it takes too long."""
+        """Return whether the old side resumes because of the transfer: another cut has, or it takes too long."""
         now = self.host.steady()
         if self._due_at is None and self._now() >= self.transfer.at:
             self._due_at = now
@@ -399,7 +401,10 @@ class StateImport(_Transfer):
         await self.hooks.import_(state, self.transfer.timeout, self.transfer.changes)
 
     async def _report(self, done: bool) -> bool:
-        """Whether the old side knows, or has exited. Raises CommandRefused where it has resumed."""
+        """Tell the old side of the end; return whether it knows, or has exited.
+
+        Raises CommandRefused where it has resumed.
+        """
         importing = commands.ImportingCommand(transfer=self.transfer.id, done=done)
         try:
             reply = await self.request(importing, REPORT_TIMEOUT)
