@@ -57,7 +57,7 @@ def run(name: str, main: Coroutine[Any, Any, T]) -> T:
 
 
 def available(name: str) -> bool:
-    """Whether the back end ``name`` can be had here, without importing any ROS."""
+    """Return whether the back end ``name`` can be had here, without importing any ROS."""
     if name == "ros1":
         return ros1.available()
     return name == "sim" or (name == "ros2" and importlib.util.find_spec("rclpy") is not None)

@@ -1,4 +1,4 @@
-"""What the processes of components share on every platform: the control folder, parameters, threads and signals."""
+"""The common part of components' processes on every platform: the control folder, parameters, threads and signals."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def in_background(work: Coroutine[Any, Any, None], tasks: set[asyncio.Task[None]
 
 
 async def comes_true(condition: Callable[[], bool], timeout: float) -> bool:
-    """Whether ``condition`` is true within ``timeout`` seconds; it is evaluated again and again."""
+    """Return whether ``condition`` is true within ``timeout`` seconds; it is evaluated again and again."""
     deadline = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > deadline:

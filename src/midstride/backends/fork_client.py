@@ -103,7 +103,7 @@ class ForkServer:
         self.failed = True
 
     async def close(self) -> None:
-        """What was forked continues."""
+        """Close the server; the processes that it has forked continue."""
         with suppress(OSError):
             self._channel.shutdown(socket.SHUT_RDWR)  # which also ends the wait for it
         await leave(self.process)

@@ -40,7 +40,7 @@ class LastMessage:
         self._at, self._written, self._writer = at, written, writer
 
     def may_be_gone(self, publishers: Collection[str], before: Collection[str] = ()) -> bool:
-        """Whether the publisher of the message may be gone, where there are these ``publishers`` now.
+        """Return whether the publisher of the message may be gone, where there are these ``publishers`` now.
 
         ``before``: those that there were earlier, where it is not known which of them has written the message.
         """
@@ -53,6 +53,6 @@ class LastMessage:
         self._at = self._written = self._writer = None
 
     def heard(self, publishers: int) -> HeardMessage:
-        """What is known now, where the topic has so many publishers."""
+        """The message as far as it is known now, where the topic has so many publishers."""
         unmet = tuple(f"{path} is {samples.last}" for path, samples in self._fields.samples().items() if samples.run)
         return HeardMessage(self._at, unmet, publishers)

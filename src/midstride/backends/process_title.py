@@ -1,4 +1,4 @@
-"""What other processes see of this one in ``/proc``: its command line, and a variable of its environment.
+"""The view that other processes have of this one in ``/proc``: its command line, and a variable of its environment.
 
 A spare (:mod:`.spare`) becomes a component after it has started. `ps` and `pgrep` shall show that component's command,
 and the next manager identifies a process by its environment. Both are memory of the process that the kernel shows as

@@ -112,7 +112,9 @@ def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
 
 
 async def listens(transport: Transport, instance: str) -> bool:
-    """Whether a component of that name listens, or may do so: one started by hand, whose process is not known."""
+    """Return whether a component of that name listens, or may do so: one started by hand, whose process is not
+    known.
+    """
     try:
         connection = await transport.connect(transport.address(instance))
     except Unreachable:
@@ -124,7 +126,8 @@ async def listens(transport: Transport, instance: str) -> bool:
 
 
 class ProcessBackend(abc.ABC):
-    """What the back ends of real platforms share: components as processes, their control sockets and their logs.
+    """The common part of the back ends of real platforms: components as processes, their control sockets and their
+    logs.
 
     ``control`` is the folder of the sockets, ``logs`` that of the logs (default: beside ROS's own). ``guardian`` ends
     what is started should this process be killed. To be opened, used and closed on one event loop.
@@ -145,7 +148,7 @@ class ProcessBackend(abc.ABC):
 
     @abc.abstractmethod
     def _environment_of_spares(self, token: str) -> dict[str, str]:
-        """What a process is given before its component is known. Raises BackendError where it cannot be said."""
+        """The environment of a process before its component is known. Raises BackendError where it cannot be said."""
 
     @abc.abstractmethod
     def _python(self) -> str:

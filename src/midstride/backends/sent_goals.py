@@ -1,4 +1,4 @@
-"""What a client of a ROS action gets for a goal that it has sent, on any platform."""
+"""The goals that a client of a ROS action has sent, on any platform."""
 
 from __future__ import annotations
 

@@ -28,7 +28,9 @@ READY: Final = b"ready\n"
 
 
 class SpareProgram(msgspec.Struct, frozen=True):
-    """What a spare is to run: ``python FILE …`` or ``python -m MODULE …``, in ``directory``, with output to ``log``."""
+    """The program that a spare is to run: ``python FILE …`` or ``python -m MODULE …``, in ``directory``, with output
+    to ``log``.
+    """
 
     command: list[str]
     directory: str

@@ -32,7 +32,8 @@ log: Final = logging.getLogger(__name__)
 
 
 def fits(command: Sequence[str], directory: Path) -> bool:
-    """Whether a spare can run ``command``, whose first word is a Python: ``FILE …`` or ``-m MODULE …`` without options.
+    """Return whether a spare can run ``command``, whose first word is a Python: ``FILE …`` or ``-m MODULE …`` without
+    options.
 
     ROS's own arguments concern the process as a whole, which has joined already.
     """
@@ -44,7 +45,7 @@ def fits(command: Sequence[str], directory: Path) -> bool:
 
 
 def _shared(environment: Mapping[str, str]) -> dict[str, str]:
-    """What a process may have read when it imported a library or joined: all but what is Midstride's."""
+    """The variables that a process may have read when it imported a library or joined: all but what is Midstride's."""
     return {name: value for name, value in environment.items() if not name.startswith("MIDSTRIDE_")}
 
 

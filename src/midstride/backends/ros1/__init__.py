@@ -22,7 +22,7 @@ __all__ = ["available", "create_backend", "create_host", "load", "prepare"]
 
 
 def available() -> bool:
-    """Whether an interpreter is known in which components of ROS 1 can run."""
+    """Return whether an interpreter is known in which components of ROS 1 can run."""
     from midstride.backends.ros1.launching import interpreter
 
     return interpreter() is not None

@@ -1,4 +1,4 @@
-"""What a subscriber requests of a publisher in its connection header, and what the publisher grants in its own.
+"""The request of a subscriber in its connection header, and the answer of the publisher in its own.
 
 ROS 1 has neither QoS nor numbered messages. But either side of a connection may add to its header, and a side that does
 not know the addition ignores it. A Midstride subscriber puts its request at the end of its message definition, as a
@@ -54,5 +54,7 @@ def publisher_of(header: Mapping[str, str]) -> str | None:
 
 
 def is_compatible(header: Mapping[str, str]) -> bool:
-    """Whether the QoS that is offered meets the request; a publisher that does not say so is taken to meet it."""
+    """Return whether the QoS that is offered meets the request; a publisher that does not say so is taken to meet
+    it.
+    """
     return _REFUSED not in header

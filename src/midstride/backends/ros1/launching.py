@@ -74,7 +74,7 @@ def master_of(pid: int) -> str:
 
 
 def is_local(uri: str) -> bool:
-    """Whether an address is on this machine's loopback."""
+    """Return whether an address is on this machine's loopback."""
     return urlsplit(uri).hostname in _LOCAL
 
 

@@ -111,7 +111,7 @@ class Master:
         raise BackendError(f"the ROS master still lists {node}, which has ended")
 
     async def _unsubscribe_parameters(self, node: str, where: str) -> None:
-        """What is left are subscriptions to parameters, which the master does not list.
+        """Remove the subscriptions to parameters of a node, which the master does not list.
 
         They go when the node is registered anew from elsewhere. The master then has the process at the old address
         shut down, so nothing may listen there.

@@ -47,7 +47,7 @@ def hold(uri: str) -> socket.socket:
 
 
 def _marks(uri: str) -> str:
-    """What the names of all managers' marks begin with."""
+    """The beginning of the names of all managers' marks."""
     return f"midstride-ros1-master-{rpc.address(uri)[1]}-"
 
 
@@ -98,7 +98,7 @@ async def release(master: Master, guardian: Reaper | None) -> None:
 
 
 async def _in_use(master: Master) -> bool:
-    """Whether another manager needs the master, or a node is left that answers."""
+    """Return whether another manager needs the master, or a node is left that answers."""
     marks = f" @{_marks(master.uri)}"
     # Other programs' names may be any bytes.
     if any(marks in line for line in Path("/proc/net/unix").read_text(encoding="latin-1").split("\n")):

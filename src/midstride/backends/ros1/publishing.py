@@ -163,7 +163,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         return sum(peer.compatible and not peer.gone.is_set() for peer in self.connections)
 
     async def drained(self, timeout: float) -> bool:
-        """Whether every subscriber's machine has everything that was written, within ``timeout`` seconds."""
+        """Return whether every subscriber's machine has everything that was written, within ``timeout`` seconds."""
         return await comes_true(lambda: all(peer.idle for peer in self.connections), timeout)
 
     async def leave(self) -> None:
@@ -211,7 +211,7 @@ class PortPublisher:
         return self.topic.connected() if self.topic.registered else -1
 
     async def acknowledged(self, timeout: float) -> bool | None:
-        """Whether every subscriber's machine has all; what its node has not read yet, it still reads."""
+        """Return whether every subscriber's machine has all; what its node has not read yet, it still reads."""
         return await self.topic.drained(timeout) or None
 
     def destroy(self) -> None:

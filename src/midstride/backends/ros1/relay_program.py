@@ -85,7 +85,7 @@ def endpoints(host: Host, order: RelayOrder) -> Sequence[GraphEndpoint] | None:
 
 
 async def _registered(master: Master) -> tuple[SystemState, dict[str, str]]:
-    """What is registered, and the type of each topic. Raises BackendError."""
+    """The registrations at the master, and the type of each topic. Raises BackendError."""
     return await master.state(), dict(await master.call("getTopicTypes", master.caller))
 
 

@@ -23,7 +23,7 @@ _LONGEST: Final = 64 * 1024 * 1024
 
 
 async def call(uri: str, method: str, *arguments: Any, timeout: float = PATIENCE) -> Any:
-    """What the method returns; ROS's ``[code, status, value]`` is left to the caller.
+    """Call the method, and return its result; ROS's ``[code, status, value]`` is left to the caller.
 
     Raises Unreachable where nothing listens or where the listener does not speak XML-RPC, CallTimeout where no answer
     comes, BackendError where the method is refused.

@@ -73,7 +73,7 @@ class SubscriberConnection:
 
     @property
     def idle(self) -> bool:
-        """Whether the kernel at the other end has everything that was written."""
+        """Return whether the kernel at the other end has everything that was written."""
         if self.gone.is_set():
             return True
         if self._waiting:

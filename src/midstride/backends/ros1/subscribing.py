@@ -69,7 +69,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
                 self._invoke_callback(frame.message, callback, arguments)
 
     def read(self, frame: Any, connection: Any) -> tuple[Info, bool]:
-        """What the connection says of a message, and whether it was held for late joiners."""
+        """The details of a message by its connection, and whether it was held for late joiners."""
         publisher = connection_headers.publisher_of(connection.header)
         if publisher is not None:
             number, source, index, held = TRAILER.unpack(frame.tail)

@@ -60,14 +60,16 @@ _read: set[str] = set()
 
 @dataclass(frozen=True, slots=True)
 class DdsSettings:
-    """What is set in the environment of the processes Midstride starts; ``warnings`` say what is left as it was."""
+    """The variables that are set for the processes that Midstride starts; ``warnings`` say what is left as it was."""
 
     middleware: str
     variables: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def described(self, environment: Mapping[str, str], notes: Iterable[str]) -> Middleware:
-        """What is set, what the user has set in ``environment`` and is left, and what the middleware does not tell."""
+        """Describe what is set, what the user has set in ``environment`` and is left, and what the middleware does
+        not tell.
+        """
         kept = {
             name: value for name in USER_VARIABLES if (value := environment.get(name)) and name not in self.variables
         }
@@ -80,7 +82,9 @@ class DdsSettings:
 
 
 def choose(environment: Mapping[str, str], middleware: str, major: int | None) -> DdsSettings:
-    """What to set, given what the user has set. ``major``: the version of Fast DDS, None where it is not known."""
+    """Choose what to set, given what the user has set. ``major``: the version of Fast DDS, None where it is not
+    known.
+    """
     if not of_identifier(middleware).fast_dds:
         return DdsSettings(
             middleware, {}, (f"discovery: {middleware} keeps its defaults, and may find new processes late",)
@@ -110,7 +114,7 @@ def _on_this_host_alone(environment: Mapping[str, str]) -> bool:
 
 
 def of_this_process(*, enabled: bool = True) -> DdsSettings:
-    """What to set for this process and those it starts. Imports rclpy, which loads the middleware.
+    """The settings for this process and those it starts. Imports rclpy, which loads the middleware.
 
     Nothing where that is not ``enabled``.
     """

@@ -27,7 +27,7 @@ class InstanceNode(NamedTuple):
 
 
 def system_tag(token: str) -> str:
-    """What distinguishes the instances of one system from those of others; the token itself is not public."""
+    """The mark that distinguishes the instances of one system from those of others; the token itself is not public."""
     return hashlib.sha256(token.encode()).hexdigest()[:8] if token else ""
 
 
@@ -55,5 +55,5 @@ def instances_of(node: str, in_graph: Iterable[str], system: str) -> int:
 
 
 def is_hidden(full_name: str) -> bool:
-    """Whether ROS's tools leave the node out: a part of its name starts with an underscore."""
+    """Return whether ROS's tools leave the node out: a part of its name starts with an underscore."""
     return "/_" in full_name

@@ -212,13 +212,13 @@ class Simulator(Backend):
             self.time.loop.call_later(EXIT_LATENCY, lambda: self._on_exit(event))
 
     def log(self, instance: str) -> str:
-        """What a running component has written to its output."""
+        """The output of a running component."""
         return self.processes[instance].log.tail()
 
     def state(self, instance: str) -> ComponentState | None:
-        """What a running component last published of its state."""
+        """The state that a running component last published."""
         return self.processes[instance].state
 
     def diagnostics(self, instance: str) -> Sequence[DiagnosticEntry]:
-        """What a running component last published as its diagnostics."""
+        """The diagnostics that a running component last published."""
         return self.processes[instance].diagnostics()

@@ -89,7 +89,7 @@ class Faults:
         self._failing.clear()
 
     def take_fault(self, instance: str, op: str) -> FailingCall | None:
-        """What is to happen to this request; counts it."""
+        """The fault that this request is to have, if any; counts it."""
         for fault in self._failing:
             if fault.instance == instance and fault.op in (None, op):
                 if fault.after:

@@ -1,4 +1,4 @@
-"""What the manager hears of a topic on the simulator."""
+"""The manager's subscriptions of topics on the simulator."""
 
 from __future__ import annotations
 

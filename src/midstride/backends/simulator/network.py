@@ -22,7 +22,7 @@ from midstride.model.contract import QoS
 
 
 class EndpointOwner(Protocol):
-    """What has an endpoint: the name of its ROS node, and until when it is frozen (steady s; 0: it is not)."""
+    """The owner of an endpoint: the name of its ROS node, and until when it is frozen (steady s; 0: it is not)."""
 
     @property
     def node(self) -> str: ...
@@ -197,13 +197,13 @@ class Network:
         return known <= self.clock.steady() and _compatible(writer, reader)
 
     def shows_probe(self, owner: SimulatedProcess, topic: str) -> bool:
-        """Whether a process has found the manager's endpoint on ``topic``."""
+        """Return whether a process has found the manager's endpoint on ``topic``."""
         created = self.probes.get(topic, math.inf)
         known = created + self.discovery <= self.clock.steady()
         return known and created < self.undiscovering.get(owner, math.inf)
 
     def _found(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
-        """Whether the reader's process knows of the writer."""
+        """Return whether the reader's process knows of the writer."""
         return writer.created < self.undiscovering.get(reader.owner, math.inf)
 
     def publish(self, writer: SimulatedWriter, message: Any) -> None:

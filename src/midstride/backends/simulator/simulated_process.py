@@ -189,7 +189,7 @@ class SimulatedProcess:
 
     @property
     def runs(self) -> bool:
-        """Whether it is neither dead nor frozen."""
+        """Return whether the process is neither dead nor frozen."""
         return not self.dead and (not self.thawed_at or self.thawed_at <= self.clock.steady())
 
     @property
@@ -204,7 +204,7 @@ class SimulatedProcess:
 
     @property
     def reacts(self) -> bool:
-        """Whether it is not frozen, and no call of its code hangs."""
+        """Return whether the process is not frozen, and no call of its code hangs."""
         return not self._reacts_at or self._reacts_at <= self.clock.steady()
 
     async def wait_while_frozen(self) -> None:

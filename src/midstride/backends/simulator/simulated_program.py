@@ -24,7 +24,7 @@ KEPT: Final = 1000
 
 
 class ProcessOutput(io.TextIOBase):
-    """What a process writes to its standard output and error: the last lines are kept, and ``file`` gets them all."""
+    """The standard output and error of a process: the last lines are kept, and ``file`` gets them all."""
 
     def __init__(self, file: Path | None = None) -> None:
         self._lines: deque[str] = deque([""], maxlen=KEPT)

@@ -70,7 +70,7 @@ class SimulatedClock:
         self._ros = self._driven_to(self._steady) if self.driven else EPOCH + self._steady
 
     def _driven_to(self, steady: int) -> int:
-        """What ``/clock`` has driven the ROS clock to at that moment of the steady one (ns)."""
+        """The time to which ``/clock`` has driven the ROS clock at that moment of the steady one (ns)."""
         passed = steady - self._since
         return self._base + (passed if self._speed == 1.0 else round(passed * self._speed))
 

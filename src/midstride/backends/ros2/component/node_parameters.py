@@ -79,7 +79,9 @@ class Ros2NodeParameters:
         return Parameter(name, kind if value == [] else None, value)
 
     def _changing(self, parameters: list[Any]) -> Any:
-        """What an author's function raises refuses the whole set; those called before get the old values again."""
+        """Call the author's functions: if one raises, the whole set is refused; those called before get the old
+        values again.
+        """
         called: list[tuple[Callable[[Any], None], Any]] = []
         for parameter in parameters:
             on_change = self._on_change.get(parameter.name)

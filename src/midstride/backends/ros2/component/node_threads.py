@@ -158,7 +158,7 @@ class ComponentNodes:
         self._control_thread.start()
 
     def check(self, *, managed: bool) -> bool:
-        """Whether another node of its name may yet appear. To be repeated, soon as long as it may.
+        """Return whether another node of the component's name may yet appear. To be repeated, soon as long as it may.
 
         ``managed``: a manager knows the component, and may start more instances of its role. Raises NodeError where the
         component cannot go on: ROS was shut down, one of its threads has ended, or another node has its name.
@@ -180,7 +180,7 @@ class ComponentNodes:
         return True
 
     def _is_foreign_in_graph(self, managed: bool) -> bool:
-        """Whether there are more nodes of its name than its role has instances: one until a manager starts others."""
+        """Return whether more nodes have the name than the role has instances: one until a manager starts others."""
         in_graph = self._control.get_node_names_and_namespaces()  # once, since others may come and go meanwhile
         nodes: int = in_graph.count(split_name(self._full_name)) - self._shares_name
         if nodes <= 1:

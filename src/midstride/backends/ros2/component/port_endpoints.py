@@ -52,7 +52,7 @@ def profile_of(qos: QoS) -> Any:
 
 
 def qos_of(profile: Any) -> QoS:
-    """What the graph says of a real endpoint, as far as it is compared (semantics.md section 1)."""
+    """The QoS of a real endpoint in the graph, as far as it is compared (semantics.md section 1)."""
     return QoS(
         reliability="best_effort" if profile.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",
         durability="transient_local" if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",

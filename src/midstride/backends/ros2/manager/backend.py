@@ -325,7 +325,7 @@ class Ros2Backend(ProcessBackend, Backend):
         return launching.environment(launch, self._control, sys.executable, self.settings, os.environ)
 
     async def _foreign(self, node: str, system: str) -> bool:
-        """Whether a node of that name is in the graph that is no instance of the system."""
+        """Return whether a node of that name is in the graph that is no instance of the system."""
         for found in self._joined().of_name(node):
             if found is None and self._foreign_nodes.runs_unmarked(node):
                 continue  # of the system, and without Midstride's API
@@ -396,7 +396,7 @@ class Ros2Backend(ProcessBackend, Backend):
                 await self._in_time(lambda: node.destroy_publisher(publisher))
 
     async def _in_time(self, work: Callable[[], Any]) -> Any:
-        """What ``work`` returns; None, and no more probes, where the middleware does not return."""
+        """Call ``work``, and return its result; None, and no more probes, where the middleware does not return."""
         try:
             async with within(_LEAVE):
                 return await on_new_thread(work)

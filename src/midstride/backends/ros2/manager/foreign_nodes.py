@@ -279,7 +279,7 @@ class ForeignNodes:
         self._reported.note(state, has_agent=state.instance not in self._agents)
 
     def runs(self, node: str) -> bool:
-        """Whether a process without Midstride's API has the ROS node of this full name."""
+        """Return whether a process without Midstride's API has the ROS node of this full name."""
         return node in self._relayed.values() or any(a.node.record.node == node for a in self._agents.values())
 
     def runs_unmarked(self, node: str) -> bool:

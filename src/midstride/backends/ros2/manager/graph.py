@@ -85,11 +85,11 @@ class Graph:
         return (died is None or time.monotonic() - died > self.rmw.linger) and _gid(info) not in self._dead_endpoints
 
     def has(self, full_name: str) -> bool:
-        """Whether a living instance, or a foreign node, of that name is in the graph."""
+        """Return whether a living instance, or a foreign node, of that name is in the graph."""
         return any(self._lives(info, full_name) for info in self._under(full_name))
 
     def has_instance(self, full_name: str) -> bool:
-        """Whether a living instance of that name is in the graph. The name of its node is that of its role."""
+        """Return whether a living instance of that name is in the graph. The name of its node is that of its role."""
         return any(found.instance == full_name and self._lives(info, full_name) for info, found in self._controls())
 
     def of_name(self, node: str) -> set[InstanceNode | None]:
@@ -236,7 +236,7 @@ class Graph:
         return (info for info in infos if self._name(info, instances) == full_name)
 
     def _of_node(self, node: str) -> Iterator[tuple[bool, str, Any]]:
-        """Whether it is an output, its topic, and the endpoint itself: of every node of that name.
+        """Each endpoint of every node of that name: whether it is an output, its topic, and the endpoint itself.
 
         Only their topics are looked at, first those that not every node has: rclpy takes 0.07 ms for each endpoint.
         """

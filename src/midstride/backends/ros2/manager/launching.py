@@ -43,7 +43,7 @@ def environment(
 
 
 def _is_linked_with_wheels(program: str) -> bool:
-    """Whether ``program`` is compiled, and linked with a library that the ROS wheels have installed."""
+    """Return whether ``program`` is compiled, and linked with a library that the ROS wheels have installed."""
     try:
         content = Path(program).read_bytes()
     except OSError:

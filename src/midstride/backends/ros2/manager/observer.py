@@ -41,7 +41,7 @@ def observe(
     nodes: Collection[str] = (),
     done: Callable[[ObservedGraph], bool] = lambda graph: False,
 ) -> ObservedGraph:
-    """What the graph shows within ``seconds``, or until ``done`` holds. It is read by a hidden node.
+    """Observe the graph by a hidden node for ``seconds``, or until ``done`` holds.
 
     The time counts from when each of ``nodes`` (full names) has been seen, or PATIENCE later.
     """

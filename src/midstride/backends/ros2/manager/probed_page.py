@@ -95,7 +95,7 @@ class ProbedPage:
 
 
 class _Counter:
-    """What passes a port from now on."""
+    """A counter of the messages that pass a port from now on."""
 
     def __init__(self, entry: PagePort) -> None:
         self._entry = entry

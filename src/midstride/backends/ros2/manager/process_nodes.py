@@ -45,7 +45,7 @@ class AskedProcess:
 
 @dataclass(slots=True)
 class _Found:
-    """What the graph shows of the process: its own nodes and, by key, the processes that have them."""
+    """The process as the graph shows it: its own nodes and, by key, the processes that have them."""
 
     own: set[str] = field(default_factory=set)
     processes: dict[bytes, NodeProcess] = field(default_factory=dict)

@@ -329,7 +329,7 @@ class _Visitor:
         return None
 
     def _named(self, entity: Any) -> str:
-        """What an action would start, in words."""
+        """Name in words what an action would start."""
         try:
             if isinstance(entity, self._ros.Node):
                 name = entity._Node__node_name

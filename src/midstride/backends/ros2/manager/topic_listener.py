@@ -1,4 +1,4 @@
-"""What the manager hears of a topic on ROS 2, taken from its subscriptions when it is asked: its node is not spun."""
+"""The manager's subscriptions of topics on ROS 2, which are read when they are asked for: its node is not spun."""
 
 from __future__ import annotations
 
