@@ -198,7 +198,7 @@ declare namespace Api {
     swaps: SwapReport[];
   }
 
-  /** Whether the text can be applied: `request` is then what `/plan` and `/change` take. */
+  /** The check of a text that is to be applied: if it can be, `request` is what `/plan` and `/change` take. */
   interface CheckedText {
     ok: boolean;
     diagnostics: DiagnosticReport[];
@@ -902,7 +902,7 @@ declare namespace Api {
     because: string | null;
   }
 
-  /** What has changed in a view since what the client was last sent. What is absent is as before. `instances` and `topics` have the entries that changed, by name; null for one that is gone. */
+  /** The changes of a view since what the client was last sent. What is absent is as before. `instances` and `topics` have the entries that changed, by name; null for one that is gone. */
   interface Patch {
     n: number;
     /** seconds since 1970 */
@@ -1490,7 +1490,7 @@ declare namespace Api {
     change: ChangeView | null;
   }
 
-  /** What happened between two times, as far as this manager remembers it; GET /history knows of earlier ones. */
+  /** The events between two times, as far as this manager remembers it; GET /history knows of earlier ones. */
   interface Timeline {
     manager: string;
     /** seconds since 1970 */

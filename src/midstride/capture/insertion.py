@@ -287,7 +287,7 @@ class _Inserter:
     # -- lifecycle nodes ----------------------------------------------------------------------------------------
 
     def _takes_over(self, node: str) -> bool:
-        """Whether Midstride manages the lifecycle of a node (a full name) from now on."""
+        """Return whether Midstride manages the lifecycle of a node (a full name) from now on."""
         return gate_of_lifecycle(self.graph, node, self.management) is not None
 
     def _gates(self, component: ComponentDeclaration) -> list[tuple[int, int, str]]:
@@ -379,7 +379,7 @@ class _Inserter:
     # -- remappings ------------------------------------------------------------------------------------------
 
     def _remaps(self, component: ComponentDeclaration, node: str) -> dict[str, str]:
-        """What the program calls topics that its command remaps, by the full names of the topics."""
+        """The names that the program has for topics which its command remaps, by the full names of the topics."""
         found: dict[str, str] = {}
         namespace = node.rpartition("/")[0].strip("/")
         for run in component.runs:

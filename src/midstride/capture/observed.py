@@ -1,4 +1,4 @@
-"""What is seen of a ROS graph: the endpoints of its nodes, and when messages were written."""
+"""A ROS graph as it is seen: the endpoints of its nodes, and when messages were written."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ObservedEndpoint:
 
     @property
     def is_infrastructure(self) -> bool:
-        """Whether it is ROS's own rather than the node's, or of a hidden node."""
+        """Return whether the endpoint is ROS's rather than the node's, or of a hidden node."""
         if self.kind == "topic":
             return "/_" in self.node or is_infrastructure(self.topic, output=self.output)
         of_node = is_of_every_node(self.topic, self.type, self.node if self.output else None)
@@ -42,7 +42,9 @@ class ObservedEndpoint:
 
 @dataclass(slots=True)
 class ObservedGraph:
-    """What has been seen so far. ``seconds``: for how long; ``unreadable``: the types that could not be imported.
+    """The graph as far as it has been seen.
+
+    ``seconds``: for how long; ``unreadable``: the types that could not be imported.
 
     ``endpoints``: publishers and subscriptions; ``services``: the servers and clients of services and ROS actions.
     ``lazy``: the nodes and topics of publishers that have gone when nothing subscribed to them any more.

@@ -41,7 +41,9 @@ class ProbedPort(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Count:
-    """What a port has let pass, its longest silence (s), and, of a closed input, what it has held back since then."""
+    """The messages that a port has let pass, its longest silence (s), and the messages that a closed input has held
+    back.
+    """
 
     passed: int
     held: int = 0
@@ -58,7 +60,7 @@ class ProbedGates(Protocol):
         """The ports of the nodes that run."""
 
     def watch(self, closed: ProbedPort | None, settling: float, counting: float) -> Window:
-        """What passes within ``counting`` s, after ``settling`` s in which nothing counts.
+        """Count what passes within ``counting`` s, after ``settling`` s in which nothing counts.
 
         ``closed`` is closed meanwhile, and open when this returns or raises. A node that has ended is left out.
         """
@@ -66,7 +68,10 @@ class ProbedGates(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Dependence:
-    """Whether an output depends on an input, and the evidence in words. ``more``: whether more rounds may decide it."""
+    """The finding whether an output depends on an input, and the evidence in words.
+
+    ``more``: whether more rounds may decide it.
+    """
 
     verdict: ProbeVerdict
     because: str
@@ -130,7 +135,7 @@ def probe(
 
 
 def _judged(closed: ProbedPort, port: ProbedPort, trials: Sequence[_Trial], counting: float) -> Dependence:
-    """Whether messages of ``port`` became fewer when ``closed`` was closed."""
+    """Return whether messages of ``port`` became fewer when ``closed`` was closed."""
     windows = [window for trial in trials for window in trial]
     if any(each not in window for window in windows for each in (closed, port)):
         return Dependence("undecided", "the node ended meanwhile")

@@ -66,7 +66,8 @@ class ProposedPort:
 
     @property
     def other_name(self) -> str | None:
-        """What the program may call the topic as well: ``imu/data`` and ``~/data`` are the same for the node ``imu``.
+        """Another name that the program may have for the topic: ``imu/data`` and ``~/data`` are the same for the node
+        ``imu``.
 
         They are not for its replacement, whose node is ``imu_2``.
         """
@@ -301,7 +302,7 @@ def topic_lines(graph: ObservedGraph, topics: Iterable[str], rated: Iterable[Pro
 
 
 def _weakest(profiles: list[QoS]) -> QoS:
-    """What every one of these profiles offers."""
+    """The QoS that every one of these profiles offers."""
     deadlines, leases = [each.deadline for each in profiles], [each.lease for each in profiles]
     return QoS(
         reliability=None if all(each.is_reliable for each in profiles) else "best_effort",
@@ -313,7 +314,7 @@ def _weakest(profiles: list[QoS]) -> QoS:
 
 
 def _needed(profiles: list[QoS]) -> QoS:
-    """What is enough for every one of these profiles."""
+    """The QoS that is enough for every one of these profiles."""
     deadlines = [each.deadline for each in profiles if each.deadline is not None]
     leases = [each.lease for each in profiles if each.lease is not None]
     return QoS(

@@ -1,4 +1,4 @@
-"""What manages captured lifecycle nodes from now on: the lifecycle manager that does, or Midstride; never both."""
+"""The manager of captured lifecycle nodes from now on: the lifecycle manager that does, or Midstride; never both."""
 
 from __future__ import annotations
 

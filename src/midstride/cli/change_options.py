@@ -109,7 +109,7 @@ def parse_value(text: str) -> Any:
 
 
 def misread(name: str, text: str, declared: Mapping[str, ParameterValue]) -> str | None:
-    """What to write instead of ``text``, where YAML reads another type than the parameter ``name`` has.
+    """Advise what to write instead of ``text``, where YAML reads another type than the parameter ``name`` has.
 
     None where it does not, or the parameter is neither ``declared`` nor ROS's own.
     """

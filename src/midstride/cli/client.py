@@ -87,7 +87,7 @@ class Client:
         return self._answer(_Request("GET", _with_query(path, query), timeout=timeout)).decode()
 
     def answers(self, timeout: float = 2.0) -> bool:
-        """Whether a manager answers in time."""
+        """Return whether a manager answers in time."""
         try:
             self._answer(_Request("GET", "", timeout=timeout))
         except errors.ManagerError:

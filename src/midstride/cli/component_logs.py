@@ -55,7 +55,7 @@ def ended_since(workspace: Workspace, node: str, shown: Sequence[Path]) -> list[
 
 
 def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
-    """What ``logs`` can be asked for."""
+    """The names that ``logs`` can be asked for."""
     if status is None:
         return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
     live = [name for each in status.instances for name in (each.role, each.name)]
@@ -64,7 +64,7 @@ def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
 
 
 def latest_run(lines: Sequence[str]) -> tuple[list[str], list[str]]:
-    """What the latest process of an instance has written, and when its runs in the log began (local times)."""
+    """The output of an instance's latest process, and when its runs in the log began (local times)."""
     begins = [index for index, line in enumerate(lines) if run_begun(line) is not None]
     times = [time for line in lines if (time := run_begun(line)) is not None]
     return [*lines[begins[-1] + 1 if begins else 0 :]], times
@@ -89,7 +89,7 @@ def last_lines(path: Path) -> tuple[list[str], int]:
 
 @dataclass
 class Appended:
-    """What is appended to some files, in whole lines, from where they ended when they were given."""
+    """The text appended to some files, in whole lines, from where they ended when they were given."""
 
     _ends: dict[Path, int] = field(default_factory=dict)
     _parts: dict[Path, bytes] = field(default_factory=dict)

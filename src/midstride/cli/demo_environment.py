@@ -1,4 +1,5 @@
-"""What ``demo`` runs in: a private folder and ROS network, and a reaper, so that nothing is left behind.
+"""The surroundings that ``demo`` runs in: a private folder and ROS network, and a reaper, so that nothing is left
+behind.
 
 The manager stops the processes at the end and on Ctrl-C; the reaper stops them if the demo is killed. The files are in
 the repository that the demo runs from (else in the temporary folder) and are removed at the end.

@@ -58,7 +58,7 @@ class DescribedStart(Report, frozen=True, kw_only=True):
 
 
 class DryRun(Report, frozen=True, kw_only=True):
-    """What `up` would start, in this order; then its steps in theirs."""
+    """The processes that `up` would start, in this order; then its steps in theirs."""
 
     system: str
     backend: str

@@ -46,7 +46,7 @@ class WithdrawnError(MidstrideError):
 
 
 class Sending:
-    """Whether the request ``id`` has begun to be sent, or was withdrawn before: one of the two, in whichever thread."""
+    """The sending of the request ``id``: it has begun, or was withdrawn before; one of the two, in whichever thread."""
 
     def __init__(self, id: str | None = None) -> None:
         self.id = uuid.uuid4().hex if id is None else id
@@ -146,7 +146,9 @@ class FollowedRequest(Generic[A]):
                 complete = complete or event.kind == self.until
 
     def _belongs(self, event: Event) -> bool:
-        """Whether an event is about this command. The manager runs one at a time, and each starts with an event."""
+        """Return whether an event is about this command. The manager runs one at a time, and each starts with an
+        event.
+        """
         if self.id is None:
             return True
         if event.kind not in {"command", "waiting"}:

@@ -149,7 +149,7 @@ def _bounded(name: str, text: str) -> str:
 
 
 def _candidates(folder: Path) -> list[Path]:
-    """What in ``folder`` was probably meant: no hidden file, such as the list that `generate` keeps."""
+    """The files in ``folder`` that were probably meant: no hidden file, such as the list that `generate` keeps."""
     found = [*folder.glob("*.stride"), *folder.glob("*.json")]
     return sorted(path for path in found if not path.name.startswith("."))
 

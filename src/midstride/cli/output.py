@@ -42,7 +42,7 @@ def _set_json(ctx: click.Context, _: click.Parameter, value: bool) -> None:
 
 
 def wants_json() -> bool:
-    """Whether the command line has ``--json``."""
+    """Return whether the command line has ``--json``."""
     return bool(click.get_current_context().meta.get(__name__))
 
 
@@ -131,5 +131,5 @@ def console(stderr: bool = False) -> Console:
 
 
 def is_interactive() -> bool:
-    """Whether the command can ask the user."""
+    """Return whether the command can ask the user."""
     return sys.stdin.isatty() and sys.stderr.isatty()

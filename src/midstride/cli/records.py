@@ -1,4 +1,4 @@
-"""What a system has recorded: asked of its manager, or read from its files where it has none."""
+"""The records of a system: asked of its manager, or read from its files where it has none."""
 
 from __future__ import annotations
 

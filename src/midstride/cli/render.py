@@ -156,13 +156,13 @@ def _about_plan(plan: AnyPlan) -> str:
 
 
 def _runtime_values(found: AnyPlan | Outcome) -> Iterable[Text]:
-    """What becomes of parameter values that were set at run time."""
+    """The fates of parameter values that were set at run time."""
     for value in found.parameters or ():
         yield Text(value.words, style="default" if value.fate in ("kept", "set") else "yellow")
 
 
 def falls(plan: AnyPlan) -> str:
-    """What degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
+    """Say what degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
     lines = [_fall(plan, fall) for fall in plan.degradations]
     lower = _lower_afterwards(plan)
     higher = [shift for shift in plan.level_shifts if shift.levels <= 0]
@@ -212,7 +212,7 @@ def _fall(plan: AnyPlan, fall: Degradation) -> str:
 
 
 def _alternative(alternative: Alternative) -> str:
-    """What it would cost to keep a functionality."""
+    """The cost of keeping a functionality."""
     mode = alternative.kept_at
     if alternative.impossible is not None:
         return f"It cannot be kept at {mode}: {alternative.impossible}"
@@ -232,7 +232,7 @@ def _mode_entered(step: AnyStep, functionality: str) -> str | None:
 
 
 def _lower_afterwards(plan: AnyPlan) -> list[LevelShift]:
-    """What the plan lowers for good."""
+    """The functionalities that the plan lowers for good."""
     return [shift for shift in plan.level_shifts if shift.levels > 0]
 
 
@@ -255,7 +255,7 @@ def cost(plan: AnyPlan) -> str:
 
 
 def measurements(swap: SwapReport) -> list[RenderableType]:
-    """What was measured at one subscriber, in the order of ``MEASUREMENTS``; unknown values are marked."""
+    """The figures of one subscriber, in the order of ``MEASUREMENTS``; unknown values are marked."""
     periods = swap.gap_periods
     counts = [_count(getattr(swap, name)) for name in _COUNTS]
     return [seconds(swap.gap), UNKNOWN if periods is None else f"{periods:.2f}", *counts]
@@ -326,7 +326,7 @@ def degraded_line(degraded: DegradedFunctionality) -> str:
 
 
 def fallen_line(outcome: Outcome) -> str:
-    """What was degraded and what is lower now, on one line, for a table."""
+    """Say what was degraded and what is lower now, on one line, for a table."""
     below = sorted(outcome.below_baseline_seconds.items())
     fallen = [f"{name} {seconds(spent)}" for name, spent in below if spent]
     fallen += [f"{each.functionality} permanently" for each in outcome.remaining_degradations]

@@ -103,7 +103,7 @@ def not_running(status: Status, node: str) -> PlanRefused:
 
 
 def in_file(file: str | None, *, nodes: Iterable[str] = (), components: Iterable[str] = ()) -> str | None:
-    """What to write for those of these names, which the running system lacks, that ``file`` declares by now.
+    """Advise what to write for names that the running system lacks and ``file`` declares by now.
 
     ``file`` is the one that the system was brought up from, or that was applied last.
     """

@@ -96,7 +96,7 @@ class _Fish(_WholeWord, FishComplete):
 
 
 def _completer(candidates: Callable[[click.Context, str], Iterable[str]]) -> Complete:
-    """What Click calls, from a function of the context and the word so far. An error means no candidates."""
+    """The callback for Click, from a function of the context and the word so far. An error means no candidates."""
 
     def completed(context: click.Context, _: click.Parameter, incomplete: str) -> list[str]:
         try:
@@ -224,7 +224,7 @@ def _running(context: click.Context) -> Document:
 
 
 def _ask(context: click.Context, path: str) -> Document:
-    """What the manager of that system answers."""
+    """Ask the manager of that system."""
     import json
 
     from midstride.cli.client import Client

@@ -72,7 +72,7 @@ class TokenAuth:
         return secrets.compare_digest(given.encode("utf-8", "replace"), self._token)
 
     def _is_here(self, host: str) -> bool:
-        """Whether a ``Host`` header is an address, or a name that is certainly this machine's."""
+        """Return whether a ``Host`` header is an address, or a name that is certainly this machine's."""
         name = host.removesuffix("]") if host.endswith("]") else host.rpartition(":")[0] or host
         name = name.strip("[]").lower()
         if name in {"localhost", self._host.lower()}:

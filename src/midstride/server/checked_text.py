@@ -50,7 +50,7 @@ class DiagnosticReport(Report, frozen=True, kw_only=True):
 
 
 class CheckedText(Report, frozen=True, kw_only=True):
-    """Whether the text can be applied: `request` is then what `/plan` and `/change` take."""
+    """The check of a text that is to be applied: if it can be, `request` is what `/plan` and `/change` take."""
 
     ok: bool
     diagnostics: list[DiagnosticReport]

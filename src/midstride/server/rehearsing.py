@@ -32,7 +32,7 @@ class Rehearser:
         self._running = asyncio.Lock()
 
     async def rehearse(self, specification: Specification, asked: SubmittedRehearsal) -> Rehearsal:
-        """What comes of the change. Raises ManagerError with the reason if that cannot be said, or not in time."""
+        """Rehearse the change. Raises ManagerError with the reason if that cannot be said, or not in time."""
         if self._running.locked():
             raise ManagerError("another change is being rehearsed; ask again when that is done")
         order = RehearsalOrder(

@@ -149,7 +149,7 @@ def _own_names(file: Path, system: str | None) -> dict[str, str]:
 def _probed(
     gates: ProbedGates, graph: ObservedGraph, nodes: Collection[str], seconds: float, yes: bool
 ) -> Dependences | None:
-    """What is found of ``nodes``; None if the user does not want that."""
+    """Probe ``nodes``; None if the user does not want that."""
     ports = {port for port in gates.ports() if port in graph.endpoints and port.node in nodes}
     gated = {port.node for port in ports}
     if not gated:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # completion must not wait for it
 
 @dataclass(frozen=True, slots=True)
 class RequestOptions:
-    """What all commands that change the running system have in common."""
+    """The options of all commands that change the running system."""
 
     system: str | None
     strategy: str
@@ -263,7 +263,7 @@ def change(
 
 
 def _in_changed_file(client: Client, request: Document) -> str | None:
-    """What to write for the names in a refused request that the system lacks, and its file declares by now."""
+    """Advise what to write for the names in a refused request that the system lacks, and its file declares by now."""
     running = client.specification()
     replaced, added = request.get("replace", []), request.get("add", [])
     given = {each["name"] for each in request.get("components", [])}

@@ -54,7 +54,7 @@ def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., in
 
 
 def platform_options(spares: int) -> Callable[[Callable[..., int]], Callable[..., int]]:
-    """What holds for every process of the system: the last arguments of :func:`manager_arguments`.
+    """The options that hold for every process of the system: the last arguments of :func:`manager_arguments`.
 
     ``spares`` is how many spare processes there are by default.
     """

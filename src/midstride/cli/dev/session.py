@@ -1,4 +1,5 @@
-"""What `midstride dev` does on a save: it swaps the nodes whose code, parameters or declaration differ from the files.
+"""The work of `midstride dev` on a save: it swaps the nodes whose code, parameters or declaration differ from the
+files.
 
 What to do follows from the state alone: the manager knows which programs have changed on disk since they started, and
 the specification of the files is compared with the one that runs. So no save is lost, whatever happens meanwhile. What
@@ -33,7 +34,7 @@ _SPECIFICATION: Final = ""
 
 
 class Screen(Protocol):
-    """What the user sees."""
+    """The screen that the user sees."""
 
     def swapped(self, what: str, outcome: Outcome) -> None:
         """A change was carried out, and has been measured."""
@@ -131,7 +132,9 @@ class DevSession:
             self.screen.faulty(faulty)
 
     def _changes(self) -> Iterator[tuple[str, list[str]]]:
-        """What differs from the files, but for what was refused: nodes, or the specification, each with its files."""
+        """The differences from the files, but for what was refused: nodes, or the specification, each with its
+        files.
+        """
         wanted = self.specification.wanted
         if self._differs and self.manager.specification() == wanted:
             self._differs = False
@@ -155,7 +158,7 @@ class DevSession:
                     self.screen.refused(_what({role: program.changed}), f"{role} was started by hand: restart it")
 
     def _is_new(self, name: str) -> bool:
-        """Whether a change has not been requested yet with the files as they are."""
+        """Return whether a change has not been requested yet with the files as they are."""
         return self._tried.get(name) != self._related(name)
 
     def _saved_since(self, role: str) -> list[str]:
@@ -164,7 +167,7 @@ class DevSession:
         return [path for path, content in self._related(role).items() if tried.get(path, content) != content]
 
     def _up_to_date(self, name: str) -> None:
-        """What runs is what the files have."""
+        """Note that the running nodes are as the files have them."""
         self._tried.pop(name, None)
         self._refused.discard(name)
 
@@ -189,7 +192,7 @@ class DevSession:
         return refused
 
     def _finished(self, what: str, names: set[str], outcome: Outcome) -> None:
-        """What has come of a change whose new publishers were let in. In another thread."""
+        """Show the outcome of a change whose new publishers were let in. In another thread."""
         self._close(names)
         if outcome.outcome == "done":
             self.screen.swapped(what, outcome)

@@ -1,4 +1,4 @@
-"""What a report shows, as data: a change of the history, a plan, or the plans of several strategies."""
+"""The content of a report, as data: a change of the history, a plan, or the plans of several strategies."""
 
 from __future__ import annotations
 
@@ -80,7 +80,9 @@ def _file(
 
 
 def _required(plan: Mapping[str, Any] | None) -> list[str]:
-    """What changes of the specification that ``plan`` starts from require, unless the plan says whether it holds."""
+    """The requirements for changes, of the specification that ``plan`` starts from, unless the plan says whether they
+    hold.
+    """
     if plan is None or plan.get("start") is None or "requires" in plan:
         return []
     return [str(requirement) for requirement in decode_specification(plan["start"]).requirements]

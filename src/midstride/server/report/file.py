@@ -47,7 +47,7 @@ def report_file(document: Any, title: str) -> str:
 
 @cache
 def _parts() -> dict[str, str]:
-    """What is the same in every report."""
+    """The parts that are the same in every report."""
     worker = (DASHBOARD / _LAYOUT).read_text(encoding="utf-8")
     # A page from disk can start no worker: the library then runs in the page, as its own package does without one.
     layout = f"(function () {{ var module = {{ exports: {{}} }}, exports = module.exports;\n{worker}\n"

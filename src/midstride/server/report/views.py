@@ -21,7 +21,7 @@ from midstride.verdicts import system_condition
 
 
 def modelled_view(configuration: Configuration, system: str, backend: str, at: float) -> SystemView:
-    """What ``configuration`` would look like if every component did as modelled; nothing is measured."""
+    """The view of ``configuration`` if every component did as modelled; nothing is measured."""
     evaluator, found = Evaluator(configuration), [str(violation) for violation in violations(configuration)]
     return SystemView(
         version=VERSION,

@@ -118,7 +118,7 @@ class LiveView:
                 self._tick.at(max(now + SOON, self._measurements_at + self._interval))
 
     def _may_wait(self, state: ComponentState) -> bool:
-        """Whether a report differs from the entry of its component in measurements and values at most."""
+        """Return whether a report differs from the entry of its component in measurements and values at most."""
         shown = self._shown.get(state.instance)
         return (
             shown is not None
@@ -127,7 +127,7 @@ class LiveView:
         )
 
     def _as_measured(self, state: ComponentState, now: float) -> bool:
-        """Whether declared rates are met as the entry says; judged as often as measurements are refreshed."""
+        """Return whether declared rates are met as the entry says; judged as often as measurements are refreshed."""
         name = state.instance
         if now - self._rated_at.get(name, -math.inf) < self._interval:
             return True
@@ -189,7 +189,7 @@ class LiveView:
         return None if past is None else encode_view(VERSION, self.manager, past.n, past.at, past.parts)
 
     def timeline(self, since: float, until: float) -> Timeline:
-        """What happened between two times (UNIX time), as far as it is remembered."""
+        """The events between two times (UNIX time), as far as it is remembered."""
         events = self._watched.events.since()
         return Timeline(
             manager=self.manager,

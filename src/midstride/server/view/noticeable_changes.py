@@ -1,4 +1,4 @@
-"""Whether two reports, or two entries, of an instance differ in more than what is measured."""
+"""Comparisons of two reports, or two entries, of an instance: do they differ in more than measurements?"""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ _others = attrgetter(*(name for name in InstanceStatus.__struct_fields__ if name
 
 
 def reports_differ_in_measurements_only(before: ComponentState | None, state: ComponentState) -> bool:
-    """Whether a report is the same as before, but for measurements, times, and what
-    :func:`same_parameters_and_reasons` compares.
+    """Return whether nothing in a report is new but measurements and times.
+
+    What :func:`same_parameters_and_reasons` compares is left out.
 
     Called for every report, so it must be cheap.
     """
@@ -48,7 +49,7 @@ def reports_differ_in_measurements_only(before: ComponentState | None, state: Co
 
 
 def same_parameters_and_reasons(before: ComponentState | None, state: ComponentState) -> bool:
-    """Whether the parameters have the same values, and modes that last the same reasons."""
+    """Return whether the parameters have the same values, and modes that last the same reasons."""
     if before is None or before.parameters != state.parameters or before.declared != state.declared:
         return False
     reasons = before.functionalities
@@ -56,7 +57,7 @@ def same_parameters_and_reasons(before: ComponentState | None, state: ComponentS
 
 
 def rates_met_as_shown(shown: InstanceStatus, state: ComponentState, context: SystemContext) -> bool:
-    """Whether the declared rates are met or not as the entry says."""
+    """Return whether the declared rates are met or not as the entry says."""
     for port in shown.ports:
         if port.declared is None or port.topic is None or port.topic not in context.connectors:
             continue
@@ -68,7 +69,7 @@ def rates_met_as_shown(shown: InstanceStatus, state: ComponentState, context: Sy
 
 
 def entries_differ_in_measurements_only(before: InstanceStatus, view: InstanceStatus) -> bool:
-    """Whether nothing but measurements of ports differs. Whether a declared rate is met is none."""
+    """Return whether nothing but measurements of ports differs. Whether a declared rate is met is none."""
     if len(before.ports) != len(view.ports):
         return False
     for earlier, port in zip(before.ports, view.ports, strict=True):

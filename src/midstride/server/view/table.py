@@ -68,7 +68,7 @@ class ViewTable:
         return {part: entry.json for part, entry in self._entries.items() if entry.json is not None}
 
     def knows(self, n: int) -> bool:
-        """Whether a patch from state ``n`` to the current one can be made."""
+        """Return whether a patch from state ``n`` to the current one can be made."""
         return self._oldest <= n <= self.n and n > 0
 
     def patch(self, n: int) -> bytes:

@@ -77,7 +77,7 @@ class SystemView(Status, frozen=True, kw_only=True):
 
 
 class Patch(Report, frozen=True, kw_only=True):
-    """What has changed in a view since what the client was last sent. What is absent is as before.
+    """The changes of a view since what the client was last sent. What is absent is as before.
 
     `instances` and `topics` have the entries that changed, by name; null for one that is gone.
     """
@@ -108,7 +108,7 @@ class Patch(Report, frozen=True, kw_only=True):
 
 
 class Timeline(Report, frozen=True, kw_only=True):
-    """What happened between two times, as far as this manager remembers it; GET /history knows of earlier ones."""
+    """The events between two times, as far as this manager remembers it; GET /history knows of earlier ones."""
 
     manager: str
     since: UnixTime

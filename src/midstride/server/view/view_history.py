@@ -1,4 +1,4 @@
-"""What the view was like before: its differences, and the modes of functionalities over time. In memory, and bounded.
+"""The history of the view: its differences, and the modes of functionalities over time. In memory, and bounded.
 
 The manager's journal keeps what lasts longer: changes, and incidents (GET /history).
 """

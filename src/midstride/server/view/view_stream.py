@@ -24,7 +24,8 @@ _POSITION: Final = re.compile(r"([0-9a-f]+):([0-9]{1,15})(?:\.([0-9]{1,15}))?")
 
 
 class Position(NamedTuple):
-    """What a client was last sent: the state of a view of one manager, and the last event, where that is known.
+    """The position of a client in the stream: the state of a view of one manager, and the last event, where that is
+    known.
 
     ``manager`` is None where the client has the number of an event alone.
     """
