@@ -34,7 +34,7 @@ _NAMED: Final = 4
 
 
 class Assessment(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
-    """What is known about the work of a functionality, an output or a node.
+    """An assessment of the work of a functionality, an output or a node.
 
     `lasting`: it is so afterwards, and no plan led there.
     """
@@ -86,7 +86,7 @@ class Assessments(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=
 
 
 class SystemCondition(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
-    """What runs, and what is missing or worse than it should be: `degraded` where anything is.
+    """The condition of a system: `degraded` where anything is missing or worse than it should be.
 
     It is about the components. Whether a configuration is valid is a word about the manager's model.
     """
@@ -286,7 +286,7 @@ def unanswered_meanwhile(
 
 
 def answered_if_offered(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
-    """What a node without Midstride's API serves is served by its successor, a node of another component."""
+    """Assess services of a node without Midstride's API that its successor, of another component, goes on to serve."""
     one = len(served) == 1
     verb = ("is" if one else "are") if planned else ("was" if one else "were")
     replacement = f"the replacement of {instance} only if that offers {'it' if one else 'them'}"

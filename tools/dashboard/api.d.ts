@@ -27,7 +27,7 @@ declare namespace Api {
   /** UNKNOWN is neither yes nor no: ``Verdict.because`` says why there is no answer. */
   type Answer = "holds" | "unknown" | "violated";
 
-  /** What is known about the work of a functionality, an output or a node. `lasting`: it is so afterwards, and no plan led there. */
+  /** An assessment of the work of a functionality, an output or a node. `lasting`: it is so afterwards, and no plan led there. */
   interface Assessment {
     subject: string;
     verdict: "kept" | "lost" | "not_measurable";
@@ -157,7 +157,7 @@ declare namespace Api {
     explain?: boolean;
   }
 
-  /** What has to hold for a change to happen: of the last message on a topic that the manager listens to. */
+  /** A requirement for changes, of the last message on a topic that the manager listens to. */
   interface ChangeRequirementForm {
     topic: string;
     assumption: PredicateForm;
@@ -547,7 +547,7 @@ declare namespace Api {
     words: string;
   }
 
-  /** What an input assumes of its topics, how many missed messages it tolerates, and whether it is a condition. */
+  /** The assumptions of an input about its topics, the missed messages it tolerates, and whether it is a condition. */
   interface InputForm {
     /** the type of a message, pkg/msg/Type or pkg/Type, of a service, pkg/srv/Type, or of a ROS action, pkg/action/Type */
     type: string;
@@ -564,7 +564,7 @@ declare namespace Api {
     condition?: boolean;
   }
 
-  /** What runs: an instance of a role's component, with the values of its parameters. */
+  /** A running instance of a role's component, with the values of its parameters. */
   interface InstanceForm {
     name: string;
     role: string;
@@ -787,7 +787,7 @@ declare namespace Api {
     column: number;
   }
 
-  /** What the environment guarantees; with a topic, as a publisher of it. */
+  /** A guarantee of the environment; with a topic, as a publisher of it. */
   interface OfferForm {
     guarantee: PredicateForm;
     topic?: string;
@@ -1437,7 +1437,7 @@ declare namespace Api {
     duplicates: number | null;
   }
 
-  /** What runs, and what is missing or worse than it should be: `degraded` where anything is. It is about the components. Whether a configuration is valid is a word about the manager's model. */
+  /** The condition of a system: `degraded` where anything is missing or worse than it should be. It is about the components. Whether a configuration is valid is a word about the manager's model. */
   interface SystemCondition {
     state: "degraded" | "down" | "up";
     headline: string;

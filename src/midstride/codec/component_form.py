@@ -81,7 +81,7 @@ class EndpointForm(Form, frozen=True):
 
 
 class InputForm(PredicateForm, frozen=True):
-    """What an input assumes of its topics, how many missed messages it tolerates, and whether it is a condition."""
+    """The assumptions of an input about its topics, the missed messages it tolerates, and whether it is a condition."""
 
     what: ClassVar[str] = "an input"
 

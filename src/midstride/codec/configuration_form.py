@@ -25,7 +25,7 @@ AttachmentForm: TypeAlias = Annotated[tuple[str, str], field("an attachment", "[
 
 
 class InstanceForm(Form, frozen=True):
-    """What runs: an instance of a role's component, with the values of its parameters."""
+    """A running instance of a role's component, with the values of its parameters."""
 
     what: ClassVar[str] = "an instance"
 

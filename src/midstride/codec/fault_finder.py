@@ -25,7 +25,7 @@ class RepeatedKeys(dict[str, Any]):
 
 
 def shown(value: object) -> str:
-    """What kind of JSON value this is, with the value where it is short."""
+    """The kind of a JSON value, with the value where it is short."""
     if value is None:
         return "null"
     if isinstance(value, dict):
@@ -279,5 +279,5 @@ _TYPES: Final[dict[type, tuple[type[inspect.Type], ...]]] = {
 
 
 def _may_be(value: object, type_: inspect.Type) -> bool:
-    """Whether the value is of the kind of JSON value that the type is."""
+    """Return whether the value is of the kind of JSON value that the type is."""
     return isinstance(type_, next((types for kind, types in _TYPES.items() if isinstance(value, kind)), ()))

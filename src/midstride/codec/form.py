@@ -1,4 +1,4 @@
-"""What every JSON form is made of: the base classes, constrained numbers and texts, and how faults in them are worded.
+"""The parts of every JSON form: base classes, constrained numbers and texts, and the wording of faults in them.
 
 A form is a class that mirrors one kind of JSON object key by key; msgspec reads and writes it and derives its JSON
 Schema. Its docstring and the descriptions of its fields are published in the schema.
@@ -93,7 +93,7 @@ def plain(number: float) -> int | float:
 
 
 def stated(value: Any) -> Any:
-    """What is written for a value that may not be stated, a whole number without its ``.0``."""
+    """The written form of a value that may not be stated, a whole number without its ``.0``."""
     if value is None:
         return UNSET
     return plain(value) if isinstance(value, float) else value
@@ -118,7 +118,7 @@ TOKEN = "[A-Za-z_][A-Za-z0-9_]*"
 
 
 def named(pattern: str = TOKEN) -> dict[str, Any]:
-    """What the schema says of a name that something is declared by.
+    """The entry in the schema for a name that something is declared by.
 
     The schema alone: what may be a name is judged by :mod:`midstride.model.name_checks`, wherever it is written.
     """

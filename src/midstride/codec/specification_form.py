@@ -178,7 +178,7 @@ class ResourceForm(Form, frozen=True):
 
 
 class OfferForm(Form, frozen=True):
-    """What the environment guarantees; with a topic, as a publisher of it."""
+    """A guarantee of the environment; with a topic, as a publisher of it."""
 
     what: ClassVar[str] = "a guarantee of the environment"
 
@@ -298,7 +298,7 @@ class ConstraintForm(ShapedForm, frozen=True):
 
 
 class ChangeRequirementForm(Form, frozen=True):
-    """What has to hold for a change to happen: of the last message on a topic that the manager listens to."""
+    """A requirement for changes, of the last message on a topic that the manager listens to."""
 
     what: ClassVar[str] = "a requirement of changes"
 

@@ -147,7 +147,7 @@ def to_mermaid(view: View) -> str:
 
 
 def _side(side: str, port: Port) -> str:
-    """What a port is called beside its contract: ``in`` and ``out``, ``client`` and ``server``."""
+    """The label of a port beside its contract: ``in`` and ``out``, ``client`` and ``server``."""
     words = KIND_WORDS[port.kind]
     return side if port.kind == "topic" else words.output if side == "out" else words.input
 

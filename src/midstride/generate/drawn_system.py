@@ -195,7 +195,7 @@ def _shared_namespace(roles: Iterable[str]) -> tuple[str, ...]:
 
 
 def _assumed_by(component: ComponentSpec, guarantee: Predicate) -> bool:
-    """Whether the guarantee satisfies an assumption of the component."""
+    """Return whether the guarantee satisfies an assumption of the component."""
     return any(
         isinstance(assumption, Predicate) and satisfies(guarantee, assumption)
         for functionality in component

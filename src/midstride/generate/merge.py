@@ -41,7 +41,7 @@ def digest(text: str) -> str:
 
 
 def _unedited(text: str) -> bool:
-    """Whether ``text`` is unchanged since it was generated."""
+    """Return whether ``text`` is unchanged since it was generated."""
     match = _MARK.search(text)
     if match is None:
         return False

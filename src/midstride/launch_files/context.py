@@ -1,4 +1,4 @@
-"""What holds at a place of a launch file: variables, the namespace, and what is set for the nodes that follow."""
+"""The context at a place of a launch file: variables, the namespace, and what is set for the nodes that follow."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from midstride.launch_files.packages import Packages
 
 @dataclass(frozen=True, slots=True)
 class ParametersGiven:
-    """What launch gives to the process of a node: a parameter file at a path, one that launch writes, or one parameter.
+    """Parameters that launch gives to a node's process: a file at a path, one that launch writes, or one parameter.
 
     ``path``: of a file that is there; ``text``: that of the file, if it is not what is at the path.
     ``rule``: NAME:=VALUE, which follows ``-p``. ``span``: where it is stated.
@@ -90,7 +90,7 @@ class Context:
         return value
 
     def global_parameter(self, name: str) -> str:
-        """What `set_parameter` has set. Raises UnknownValue."""
+        """The value that `set_parameter` has set. Raises UnknownValue."""
         for setting in self.settings:
             if setting.rule is not None and setting.rule.startswith(f"{name}:="):
                 return setting.rule.removeprefix(f"{name}:=")

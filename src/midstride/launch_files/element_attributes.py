@@ -22,7 +22,7 @@ class ElementAttributes:
         self.findings = findings
 
     def applies(self, entity: Entity, context: Context) -> bool:
-        """Whether the conditions of the element hold. Raises UnknownValue."""
+        """Return whether the conditions of the element hold. Raises UnknownValue."""
         if "if" in entity.attributes and "unless" in entity.attributes:
             raise UnknownValue(BOTH_CONDITIONS, "condition")
         for attribute, wanted in (("if", True), ("unless", False)):

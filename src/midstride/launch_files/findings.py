@@ -1,4 +1,4 @@
-"""What an import could not take over, or had to assume, at its place in a launch file."""
+"""The findings of an import: what it could not take over, or had to assume, at its place in a launch file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ROS's launch takes for a launch file in XML or YAML: its elements, their attributes and types.
+"""The grammar of launch files in XML and YAML as ROS's launch has it: its elements, their attributes and types.
 
 launch (3.7, with launch_ros 0.28) reads a whole file before it carries out any of it, and refuses the file for one
 attribute that it does not know, also in an element whose condition does not hold. An import goes on, and names what
@@ -158,7 +158,7 @@ def text_of(entity: Entity, name: str) -> str:
 
 
 def not_from_0(value: object) -> UnknownValue:
-    """What is left out since it is no time."""
+    """The error for a value that is left out since it is no time."""
     return UnknownValue(f"`{shortened(str(value))}` is not a number from 0", "unsupported")
 
 

@@ -1,4 +1,4 @@
-"""Composable nodes in launch files: each gets a process of its own, in which a container of its kind loads it."""
+"""Composable nodes in launch files: each gets its own process, in which a container of its kind loads it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem, LoadedNode
 from midstride.model.component import DEFAULT_CONTAINER, ContainerProgram
 
-# What becomes of the composable nodes that share a process: they are left out, or each gets one of its own.
+# What becomes of the composable nodes that share a process: they are left out, or each gets its own.
 Containers: TypeAlias = Literal["omit", "split"]
 CONTAINERS: Final[tuple[Containers, ...]] = get_args(Containers)
 _INTRA_PROCESS: Final = "use_intra_process_comms:="
@@ -25,7 +25,7 @@ def left_out(plugin: str) -> str:
 
 
 def split_containers(system: LaunchedSystem, findings: ImportFindings) -> None:
-    """Have each node that a container loads loaded into a process of its own, and leave out these containers."""
+    """Have each node that a container loads loaded into its own process, and leave out these containers."""
     started = {f"/{node.role}": node for node in system.nodes}
     for target in dict.fromkeys(each.target for each in system.loaded):
         container = started.get(target)
@@ -38,7 +38,7 @@ def split_containers(system: LaunchedSystem, findings: ImportFindings) -> None:
 
 
 def _alone(loaded: LoadedNode, container: LaunchedNode | None, findings: ImportFindings) -> LaunchedNode:
-    """The node with a process of its own, which is started as its ``container`` is."""
+    """The node with its own process, which is started as its ``container`` is."""
     extra = tuple(each for each in loaded.node.extra if not each.startswith(_INTRA_PROCESS))
     node = replace(loaded.node, extra=extra)
     if container is None:

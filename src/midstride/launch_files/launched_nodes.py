@@ -77,7 +77,7 @@ class LoadedNode:
 class LaunchedSystem:
     """The system that a launch file starts: processes, and the nodes that are ``loaded`` into containers.
 
-    ``files``: how many launch files were read. A loaded node that gets a process of its own is among the ``nodes``.
+    ``files``: how many launch files were read. A loaded node that gets its own process is among the ``nodes``.
     """
 
     nodes: list[LaunchedNode] = field(default_factory=list)

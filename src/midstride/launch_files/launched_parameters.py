@@ -30,8 +30,11 @@ _RULE: Final = re.compile(r"(?:(?P<node>[A-Za-z_/~*][\w/~*]*):)?(?P<name>[A-Za-z
 
 @dataclass(slots=True)
 class LaunchedParameters:
-    """What a node has: ``statements`` in their order, each the path of a file that is named, or values for all nodes of
-    its process; ``values`` that these do not have, and ``replaced`` ones. ``effective``: all of its values."""
+    """The parameters of a node: ``statements`` in their order, ``values`` that these do not have, and ``replaced`` ones.
+
+    A statement is the path of a file that is named, or has values for all nodes of the process. ``effective``: all of
+    the node's values.
+    """
 
     statements: list[str | dict[str, ParameterValue]] = field(default_factory=list)
     values: dict[str, ParameterValue] = field(default_factory=dict)
@@ -68,7 +71,8 @@ class ParameterReader:
         self._given: dict[str, list[tuple[ParametersGiven, _Read]]] = {}
 
     def parameters(self, node: LaunchedNode) -> LaunchedParameters:
-        """What ROS gives the node: of the sections that apply to it, in the order in which each is first met, the last.
+        """The parameters that ROS gives the node: of the sections that apply to it, in the order in which each is
+        first met, the last.
 
         A file is named if the specification may read it; another one is stated by the values that it has for this node.
         """
@@ -302,7 +306,7 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _for_all(values: Mapping[str, ParameterValue], span: Span) -> _Read:
-    """What comes to a parameter file with values for all nodes."""
+    """The equivalent of a parameter file with values for all nodes."""
     section = SectionInFile(_ALL, span, {name: ParameterValueAt(value, span) for name, value in values.items()})
     return _Read(Source("parameters", written_file(_ALL, values)), [section])
 

@@ -1,4 +1,4 @@
-"""Programs that an import runs: each in a session of its own, so that nothing of it is left when it has ended."""
+"""Programs that an import runs: each in its own session, so that nothing of it is left when it has ended."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def words_of(text: str, perform: Callable[[Template], str]) -> list[str]:
 
 @dataclass(slots=True)
 class RosArguments:
-    """What the arguments of a process say to rcl. ``others``: options with their values, such as ``--log-level``.
+    """The arguments of a process for rcl. ``others``: options with their values, such as ``--log-level``.
 
     ``parameters``: each rule or file, in their order: ``("-p", RULE)`` or ``("--params-file", PATH)``.
     """

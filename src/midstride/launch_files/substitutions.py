@@ -170,7 +170,9 @@ def check_calls(template: Template) -> None:
 
 
 def truth(text: str) -> bool:
-    """Whether ``text`` is true, as launch reads conditions. Raises UnknownValue if it is neither true nor false."""
+    """Return whether ``text`` is true, as launch reads conditions. Raises UnknownValue if it is neither true nor
+    false.
+    """
     word = text.strip().lower()
     if word in {"true", "1"}:
         return True

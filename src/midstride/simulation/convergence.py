@@ -1,4 +1,4 @@
-"""What must hold once the faults are over: the processes, the model, the saved state and the specification agree."""
+"""The invariants once the faults are over: the processes, the model, the saved state and the specification agree."""
 
 from __future__ import annotations
 
@@ -109,6 +109,6 @@ def closed_outputs(platform: Platform) -> list[str]:
 
 
 def uncaught(errors: Iterable[dict[str, Any]]) -> list[str]:
-    """What no task has caught. Tasks of a process that was killed end where they were."""
+    """The errors that no task has caught. Tasks of a process that was killed end where they were."""
     found = [error for error in errors if not isinstance(error.get("exception"), (ManagerKilled, NoneType))]
     return [f"uncaught: {error['message']}: {error['exception']!r}" for error in found]

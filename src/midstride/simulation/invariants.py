@@ -1,4 +1,4 @@
-"""What must hold in every run: checked while it runs, after each change of what really runs.
+"""The invariants of every run: checked while it runs, after each change of what really runs.
 
 The checks do not believe the manager: they look at the simulated processes, at what their components report of
 themselves, and at the messages that are published.
@@ -161,7 +161,7 @@ class Invariants:
             self._violation(f"{before.instance} and {owner.instance} are both heard on {writer.topic}")
 
     def _note_heard(self, process: StandIn, topic: str) -> None:
-        """What publishes is open, also where it reports so later: once its peer has answered."""
+        """Note that a process which publishes is open, also where it reports so later: once its peer has answered."""
         shown = self._shown.get(process.instance)
         if shown is not None and not any(topic == other for _, other in shown.links):
             links = [(port, topic) for port in process.outputs_on(topic)]

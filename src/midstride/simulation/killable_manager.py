@@ -1,4 +1,4 @@
-"""A manager that can be killed: what it reaches outside of its own process is cut off at that moment.
+"""A manager that can be killed: what it reaches outside the process is cut off at that moment.
 
 Nothing of a killed process runs any more. Here its coroutines are still there, so each of them is stopped where it next
 reaches outside: the control connections, the processes, the clock, or the disk.
@@ -71,7 +71,7 @@ class Life:
             raise Unreachable("the manager has been killed")
 
     async def call(self, function: Callable[..., Awaitable[Any]], *args: Any) -> Any:
-        """What ``function`` returns, if it still lives then."""
+        """Call ``function``, and return its result if the manager still lives then."""
         await self.breath()
         task = asyncio.ensure_future(function(*args))
         self._under_way.add(task)

@@ -83,7 +83,7 @@ class Oracle:
         return found
 
     def reflex_applies(self, shown: Shown, functionality: str, received: Collection[str]) -> bool:
-        """Whether each assumption of its mode is about inputs whose silence shows.
+        """Return whether each assumption of the mode is about inputs whose silence shows.
 
         Those have a rate, and have ``received`` something since they were attached.
         """
@@ -97,7 +97,7 @@ class Oracle:
         return bool(lost) and any(names <= set(lost) for names in needed)
 
     def _provided(self, shown: Shown, functionality: str, mode: str, port: str, topic: str) -> bool:
-        """Whether that output satisfies the topic in that mode."""
+        """Return whether that output satisfies the topic in that mode."""
         key = (shown.key, mode, port, topic)
         if key not in self._provides:
             spec = shown.component.functionalities[functionality]
@@ -106,7 +106,7 @@ class Oracle:
         return self._provides[key]
 
     def _accepted(self, shown: Shown, port: str, topic: str) -> bool:
-        """Whether that input can rely on the topic."""
+        """Return whether that input can rely on the topic."""
         key = (shown.key, port, topic)
         if key not in self._accepts:
             assumption = shown.component.inputs.get(port)

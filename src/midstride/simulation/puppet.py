@@ -61,7 +61,7 @@ class Puppet:
         self._received: dict[str, list[str]] = {}
         self._calls: dict[str, int] = {}
         self._imported: Any = None
-        # By server, how many requests or goals it has served; by client, those of its own.
+        # By server, how many requests or goals it has served; by client, those that it has sent.
         self._served: dict[str, int] = {}
         self._asked: dict[str, int] = {}
         self._responded: dict[str, list[str]] = {}
@@ -215,7 +215,7 @@ class Puppet:
         """The function of a mode: called with one message of each of ``inputs``; it also asks by ``clients``."""
 
         def begin(messages: tuple[Any, ...]) -> tuple[str, dict[str, Any]]:
-            """What to write, and what applies to this call."""
+            """Decide what to write, and what applies to this call."""
             calls = self._calls[key] = self._calls.get(key, 0) + 1
             texts = [text_of(message) for message in messages]
             for port, text in zip(inputs, texts, strict=True):

@@ -1,4 +1,4 @@
-"""What a seed rehearses: a system, and a change of it."""
+"""The scenario of a seed: a system, and a change of it."""
 
 from __future__ import annotations
 

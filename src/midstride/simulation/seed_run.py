@@ -74,7 +74,7 @@ class _Superseded:
 
 @dataclass
 class SeedRun:
-    """What came of a seed. ``problems`` are the violated invariants; ``digest`` is the same for the same run."""
+    """The result of a seed. ``problems`` are the violated invariants; ``digest`` is the same for the same run."""
 
     seed: int
     problems: list[str]
@@ -254,7 +254,7 @@ class Simulation:
         self._system.specification = manager.specification
 
     def _again(self, manager: Manager) -> PlanRequest:
-        """What a user asks for now: the last change again if it was not done, else what is missing."""
+        """The request of a user now: the last change again if it was not done, else what is missing."""
         if self._outcomes[-1] == "done":
             return PlanRequest(to=manager.specification)
         request = self._scenario.changes[-1]
@@ -287,7 +287,7 @@ class Simulation:
         return LATE_WRITE if {each.fault for each in self._struck} <= PROMPT else math.inf
 
     def _is_undisturbed(self) -> bool:
-        """Whether nothing has struck that could keep a change from being done."""
+        """Return whether nothing has struck that could keep a change from being done."""
         hung = [each for each in self._struck if each.fault == "hang"]
         of_others = sum(each.seconds for each in hung if each.where not in self._leaving)
         # Once the cut is agreed, the old side has to give its state within that time-out.
@@ -300,7 +300,7 @@ class Simulation:
         )
 
     def _uninterrupted(self) -> bool:
-        """Whether outputs are handed over, no node is moved away, and at most the manager has failed."""
+        """Return whether outputs are handed over, no node is moved away, and at most the manager has failed."""
         requests = self._scenario.changes
         handed_over = all(
             each.strategy == "minimal" and (each.replace or each.restart) and not each.detours for each in requests

@@ -74,7 +74,7 @@ class System:
         return manager
 
     def saved(self) -> SavedState | None:
-        """What the next manager would find."""
+        """The state that the next manager would find."""
         return StateStore(WORKSPACE.state, disk=self.disk).load()
 
     def recorded(self) -> list[str]:

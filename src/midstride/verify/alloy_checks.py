@@ -61,7 +61,7 @@ class Checked:
 
     @property
     def claim(self) -> str:
-        """What was checked."""
+        """The claim that was checked."""
         if len(self.task.commands) > 1:
             checks = [command.scope for command in self.task.commands if command.kind == "check"]
             runs = len(self.task.commands) - len(checks)

@@ -36,7 +36,9 @@ class StepObligation:
 
 @dataclass
 class Obligations:
-    """What a dump verifies: steps, the end against the target, and details of what does not hold (field -> value)."""
+    """The obligations that a dump verifies: steps, the end against the target, and details of what does not hold
+    (field -> value).
+    """
 
     steps: list[StepObligation] = field(default_factory=list)
     end: tuple[str, str] | None = None
@@ -80,7 +82,7 @@ _RULES: Final = {
 
 
 def configuration_detail(system: str) -> dict[str, str]:
-    """What makes a configuration invalid."""
+    """The details that make a configuration invalid."""
     s = system
     return {
         "unsatisfied": f"unsatisfied[{s}, {s}.comps.funcs, {s}.roles, {s}.cur_mode]",

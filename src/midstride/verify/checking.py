@@ -44,7 +44,8 @@ def verify_plan(
     start: Specification | None = None,
     options: AlloyOptions | None = None,
 ) -> Verdict:
-    """Whether every step of a plan (or of its document) is allowed, has its stated effect and keeps the system valid.
+    """Verify that every step of a plan (or of its document) is allowed, has its stated effect and keeps the system
+    valid.
 
     If ``start`` is given, the plan must start from that specification. UNKNOWN, with the reason, where Alloy gives no
     answer: it is missing, it takes too long, the plan is too large. Raises SpecificationError for an invalid document.
@@ -68,12 +69,12 @@ def verify_configuration(
     *,
     options: AlloyOptions | None = None,
 ) -> Verdict:
-    """Whether a configuration is valid. UNKNOWN as for :func:`verify_plan`."""
+    """Verify that a configuration is valid. UNKNOWN as for :func:`verify_plan`."""
     return _verified(subject, lambda _: dump_configuration(configuration, name, subject), options or AlloyOptions())
 
 
 def verify_specification(specification: Specification, *, options: AlloyOptions | None = None) -> Verdict:
-    """Whether the initial configuration of a specification is valid. UNKNOWN as for :func:`verify_plan`."""
+    """Verify that the initial configuration of a specification is valid. UNKNOWN as for :func:`verify_plan`."""
     return verify_configuration(
         initial(specification), specification.name, "the initial configuration", options=options
     )

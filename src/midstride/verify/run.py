@@ -121,7 +121,7 @@ def run(line: Sequence[str], limit: float, stop: Event | None = None) -> tuple[i
 
 
 def _output(process: subprocess.Popen[bytes], limit: float, stop: Event | None) -> bytes:
-    """What the process writes until it ends. Polls ``stop`` only if it is given."""
+    """Read what the process writes until it ends. Polls ``stop`` only if it is given."""
     end = time.monotonic() + limit
     while (left := end - time.monotonic()) > 0:
         try:

@@ -82,7 +82,7 @@ def step_to_explain(dump: Dump, found: AlloyInstance) -> int | None:
 
 
 def findings(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> list[Finding]:
-    """What does not hold: the declarations, else the start, else the first step that fails, else the end.
+    """The faults of a dump: the declarations, else the start, else the first step that fails, else the end.
 
     The reasons for a failed step are in the answer to its detailed dump. Raises AlloyFailed for an invalid answer.
     """

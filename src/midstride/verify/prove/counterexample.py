@@ -103,7 +103,7 @@ class Counterexample:
         return ""
 
     def breaches(self, s: State) -> list[str]:
-        """What makes a configuration invalid."""
+        """The rules that make a configuration invalid."""
         t = self.t
         lines: list[str] = []
         for f, a in product(self.every(FUNCTIONALITY), self.every(ASSUMPTION)):

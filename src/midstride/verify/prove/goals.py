@@ -1,4 +1,4 @@
-"""What is proved of actions: that each is safe (F1), and what the conjuncts that F1 does not need are for.
+"""The goals of the proofs about actions: that each is safe (F1), and what the conjuncts that F1 does not need are for.
 
 `F1` goals: the action takes a valid configuration to a valid one. `fit` goals: attached ports fit their topics, as
 ``attach`` requires; undoing a ``detach`` relies on that. `F6` goals: the undo is allowed, and restores the

@@ -86,7 +86,7 @@ def send(session: Session, text: str) -> None:
 
 
 def check_sat(session: Session) -> SolverAnswer:
-    """Whether the assertions can all be true. Raises VerificationError where the solver reports an error."""
+    """Ask whether the assertions can all be true. Raises VerificationError where the solver reports an error."""
     text = session.execute("(check-sat)\n").strip()
     for answer in _DECIDED:
         if text == answer:

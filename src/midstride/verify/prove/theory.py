@@ -219,7 +219,7 @@ class Theory(Logic):
         return self.guarantee(s.mode(self.owner(output)), output)
 
     def meets(self, s: State, output: Term, k: Term) -> Term:
-        """Whether an output meets the guarantee of a topic in that mode."""
+        """Return whether an output meets the guarantee of a topic in that mode."""
         return self.satisfies(self.current(s, output), self.topic_guarantee(k))
 
     def topic_satisfied(self, s: State, k: Term) -> Term:
@@ -255,7 +255,7 @@ class Theory(Logic):
         return if_(self.is_named(a), named, or_(by_input, by_offer))
 
     def mode_satisfied(self, s: State, f: Term, m: Term) -> Term:
-        """Whether the assumptions of mode ``m`` of ``f`` are satisfied in ``s``, whatever mode ``f`` is in."""
+        """Return whether the assumptions of mode ``m`` of ``f`` are satisfied in ``s``, whatever mode ``f`` is in."""
         return self.all((ASSUMPTION,), lambda a: implies(self.assumes(m, a), self.assumption_satisfied(s, f, a)))
 
     def satisfied(self, s: State, f: Term) -> Term:
@@ -288,7 +288,7 @@ class Theory(Logic):
         return {SATISFIED: self.all_satisfied(s), **self.structure_valid(s)}
 
     def fits(self, p: Term, k: Term) -> Term:
-        """Whether the contracts of a port and a topic fit, as ``attach`` requires."""
+        """Return whether the contracts of a port and a topic fit, as ``attach`` requires."""
         normal = self.guarantee(self.normal(self.owner(p)), p)
         needed = self.topic_guarantee(k)
         return if_(self.is_output(p), self.satisfies(normal, needed), self.satisfies(needed, self.input_assumes(p)))
