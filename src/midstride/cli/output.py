@@ -71,7 +71,7 @@ def show(document: Any, lines: Iterable[object]) -> None:
 class PrintableStream:
     """A text stream that escapes control characters: they may come from anybody's file or component.
 
-    ``raw`` is the stream below, for what writes control characters of its own.
+    ``raw`` is the stream below, for what writes control characters itself.
     """
 
     buffer: Final = None  # click would write to it

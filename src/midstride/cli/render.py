@@ -175,7 +175,7 @@ def falls(plan: AnyPlan) -> str:
 
 
 def _expected(plan: AnyPlan) -> Iterator[str]:
-    """Yield what a plan keeps, and what it loses beside what degrades, which has lines of its own."""
+    """Yield what a plan keeps, and what it loses beside what degrades, which other lines have."""
     if not (found := plan.continuity):
         return
     if found.verdict != "lost":

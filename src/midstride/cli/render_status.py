@@ -94,7 +94,7 @@ def _functionality(row: FunctionalityStatus, component: InstanceStatus) -> tuple
 
 
 def _others(component: InstanceStatus) -> Iterable[tuple[Text, Text, Text]]:
-    """The other nodes that end with it, one line each; a second one of its own name is explained."""
+    """The other nodes that end with it, one line each; a second one of the same name is explained."""
     for each in component.other_nodes:
         why = "of the same process"
         if each.namesake:

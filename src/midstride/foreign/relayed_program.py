@@ -103,7 +103,7 @@ class RelayedProgram:
         parent = os.getpid()
 
         def end_with_relay() -> None:
-            # In a group of its own: a signal to that of the relay does not reach it, which asks it to end itself.
+            # In a new group: a signal to that of the relay does not reach it, which asks it to end itself.
             os.setpgid(0, 0)
             signal.signal(signal.SIGINT, signal.SIG_DFL)
             _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -20,7 +20,7 @@ from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Specification
 
 _PYTHON: Final = re.compile(r"python[\d.]*\Z")
-# Options of Python after which no file follows, and those with a value of their own.
+# Options of Python after which no file follows, and those that have a value.
 _NO_FILE: Final = ("-c", "-m")
 _WITH_VALUE: Final = ("-W", "-X")
 

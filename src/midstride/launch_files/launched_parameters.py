@@ -30,7 +30,7 @@ _RULE: Final = re.compile(r"(?:(?P<node>[A-Za-z_/~*][\w/~*]*):)?(?P<name>[A-Za-z
 
 @dataclass(slots=True)
 class LaunchedParameters:
-    """The parameters of a node: ``statements`` in their order, ``values`` that these do not have, and ``replaced`` ones.
+    """The parameters of a node: ``statements`` in order, ``values`` that these do not have, and ``replaced`` ones.
 
     A statement is the path of a file that is named, or has values for all nodes of the process. ``effective``: all of
     the node's values.

@@ -278,7 +278,7 @@ class ComponentSpec:
     ``stop`` is how it is ended, ``activate_seconds`` how long a lifecycle node may take to become active (s), where
     stated, and ``lazy`` are the outputs that exist only while something subscribes to them.
     ``once``: such a program ends when it has done its work; it has no ports, and exit status 0 is success.
-    ``container``: its node is composable, and that program loads it into a process of its own; ``run`` then begins
+    ``container``: its node is composable, and that program loads it into its own process; ``run`` then begins
     with the class of ``package`` (:class:`.load_words.LoadWords`).
     """
 

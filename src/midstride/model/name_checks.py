@@ -189,7 +189,7 @@ def _associated(
     path: SubjectPath,
     reported: set[str],
 ) -> Iterator[Problem]:
-    """A mode may refer only to the ports of its own functionality."""
+    """A mode may refer only to the ports of the functionality that it belongs to."""
     key, verb = ("uses", "use") if kind == "input" else ("produces", "produce")
     ports = component.input_order if kind == "input" else component.outputs
     associated = functionality.inputs if kind == "input" else functionality.outputs

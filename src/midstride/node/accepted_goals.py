@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 # How many bytes the results of a predecessor have at most, in all, that no client had fetched.
 KEPT_RESULTS: Final = 16 << 20
-# How long a request to cancel many goals waits for what the other instance has cancelled of its own (s).
+# How long a request to cancel many goals waits until the other instance has cancelled its own goals (s).
 ADDING: Final = 1.0
 # How many such lists are remembered at most: each is asked for within ADDING.
 LISTS: Final = 16

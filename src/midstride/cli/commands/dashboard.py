@@ -44,7 +44,7 @@ def dashboard_command(named: str | None, port: int | None, no_browser: bool, sys
     token = new_token()
     with ended_by_signals(), listen(port) as listening:
         url = f"http://{listening.getsockname()[0]}:{listening.getsockname()[1]}/?token={token}"
-        # A browser without a window of its own would take this terminal.
+        # A browser that opens no window would take this terminal.
         graphical = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
         opened = _open(workspace, url) if graphical and not no_browser else None
         words = f"The dashboard of {workspace.name}: {url}\nCtrl-C closes it; the system keeps running."

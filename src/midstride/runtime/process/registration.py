@@ -118,7 +118,7 @@ def _remedy(output: str, own: Contract, needed: Contract) -> str:
 def _assumptions(
     component: ComponentSpec, declared: FunctionalitySpec, where: str, promised: Mode, kept: Mode
 ) -> Iterator[str]:
-    """The node may assume less than is declared, not more: a declared assumption must imply each of its own."""
+    """The node may assume less than is declared, not more: a declared assumption must imply each of the node's."""
     alternatives = [_alternatives(component, declared, assumption) for assumption in promised.assumptions]
     for assumption in kept.assumptions:
         own = _alternatives(component, declared, assumption)

@@ -56,8 +56,8 @@ class Observation:
     if known: they serve as its time grid. ``resumed``: the change was rolled back, so the old publisher is the one at
     the end, too. ``watched``: how long the recording continued after the last step (s), where that is not 20 periods;
     ``earliest``: rows before belong to another change. ``hung``: the old publisher may have been silent before: the
-    figures begin with its last message. ``own_slots``: the new publisher is a program outside, which writes on a grid
-    of its own and not on that of the old one.
+    figures begin with its last message. ``own_slots``: the new publisher is a program outside, which writes on its own
+    grid and not on that of the old one.
     """
 
     topic: str

@@ -37,7 +37,7 @@ LEAVING: Final = 1.0
 # How long the threads may take to end (s).
 _JOIN: Final = 2.0
 # A process announces that its nodes have no endpoints left, and leaves ROS this much later (s). rmw_dds_common handles
-# such announcements on a thread of its own, and keeps for good what it handles after the process has left.
+# such announcements on its own thread, and keeps for good what it handles after the process has left.
 _TOLD: Final = 0.1
 
 

@@ -1,6 +1,6 @@
 """The manager's side on ROS 2: see :class:`midstride.runtime.backend_protocol.Backend`.
 
-One hidden node in a context of its own, which looks at the graph and needs no thread. Components are processes
+One hidden node in its own context, which looks at the graph and needs no thread. Components are processes
 (:mod:`midstride.runtime.process.child_process`), so an exit is known at once.
 """
 

@@ -22,7 +22,7 @@ _SUFFIX: Final = "_container"
 
 
 def container_name(launch: Launch) -> str:
-    """The full name of the node of an instance's container, which no other has; two may have that of its own node."""
+    """The full name of the node of an instance's container, which is unique; composable nodes may share one."""
     return f"{full_name(launch.instance, launch.namespace)}{_SUFFIX}"
 
 

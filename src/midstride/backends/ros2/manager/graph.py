@@ -157,7 +157,7 @@ class Graph:
     def processes(self) -> list[tuple[str, NodeProcess]]:
         """Every node that the graph shows, by its full name, with its process; none where the middleware names none.
 
-        Each ROS node has a publisher of its own on ``/parameter_events``, unless its program has chosen otherwise.
+        Each ROS node has its own publisher on ``/parameter_events``, unless its program has chosen otherwise.
         """
         found = [(_node(info), self.rmw.node_process(info)) for info in self._publishers(names.PARAMETER_EVENTS)]
         seen = {node for node, _ in found}

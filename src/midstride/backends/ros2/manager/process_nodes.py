@@ -104,7 +104,7 @@ def _match_pids(
     """Take the processes of these numbers on this computer, ``here``, and leave out nodes of the same name elsewhere.
 
     A number is not whole, so where one of a process with its own node is known, no other process is taken for it. What
-    runs in a container of its own has another number there: it is known by the name of its node.
+    runs in its own container has another number there: it is known by the name of its node.
     """
     low = {pid % PIDS for pid in pids}
     known = {(process.host, process.pid): process.key for process in found.processes.values()}

@@ -121,7 +121,7 @@ def ros_arguments(
     remaps = [f"{of_one}__node:={own}"] if name.passed else []
     if component.unnamed:
         namespace = f"/{launch.namespace}"
-    remaps += [f"__ns:={namespace}"] if namespace != "/" else []  # else a further node may have one of its own
+    remaps += [f"__ns:={namespace}"] if namespace != "/" else []  # else a further node may have its own
     remaps += _remaps(launch, component)
     arguments = [part for remap in remaps for part in ("-r", remap)]
     arguments += ["--enclave", enclave] if enclave else []
