@@ -1,4 +1,6 @@
-"""What the loader of Linux reads in a program or library: its kind of processor, and what it is linked with."""
+"""The facts that the loader of Linux reads in a program or library: its kind of processor, and what it is linked
+with.
+"""
 
 from __future__ import annotations
 

@@ -254,7 +254,7 @@ class ForeignAgent:
         return gates.missing()
 
     def _never_seen(self, ran: float) -> bool:
-        """Whether it is certain, ``ran`` s after its start, that the library sees nothing of the process."""
+        """Return whether the library certainly sees nothing of the process, ``ran`` s after its start."""
         unseen, takes = why_unseen(self.node.record.pid), self.node.component.startup_seconds or 0.0
         return unseen is not None and unseen.settled is not None and ran >= unseen.settled + takes
 

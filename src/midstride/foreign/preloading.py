@@ -147,7 +147,7 @@ def _family(pid: int) -> Iterator[int]:
 
 
 def _has_privileges(pid: int) -> bool | None:
-    """Whether the loader of a process was told to ignore ``LD_PRELOAD``; None where one may not look."""
+    """Return whether the loader of a process was told to ignore ``LD_PRELOAD``; None where one may not look."""
     try:
         vector = Path(f"/proc/{pid}/auxv").read_bytes()
     except PermissionError:
@@ -218,7 +218,7 @@ def _privileges(program: str) -> str | None:
 
 
 def _set_bits_count() -> bool:
-    """Whether the kernel regards set-user-ID bits for what this process starts."""
+    """Return whether the kernel regards set-user-ID bits for what this process starts."""
     try:
         status = Path("/proc/self/status").read_text()
     except OSError:

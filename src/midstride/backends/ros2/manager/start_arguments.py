@@ -91,7 +91,9 @@ class StartArguments:
 
 
 def loads_library(launch: Launch, component: ComponentSpec, started: StartedPrograms) -> bool:
-    """Whether the process gets the library of the gate. Raises StartFailed where it needs it, and cannot load it.
+    """Return whether the process gets the library of the gate.
+
+    Raises StartFailed where it needs it, and cannot load it.
 
     A node of which only the services need the library goes without it where it cannot be had, or loaded.
     """
