@@ -18,8 +18,8 @@ from midstride.foreign.page import SEND_GOAL, Page
 from midstride.foreign.page_layout import LATEST, SERVER, PagePort
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
-from midstride.foreign.response_watch import STOPPED, ResponseWatch
 from midstride.lang.load import load_text
+from midstride.node.control.response_watch import STOPPED, ResponseWatch
 from tests.foreign.lab import Lab, until, variables
 
 S = 1_000_000_000
@@ -43,7 +43,7 @@ class Served:
     def look(self, at: float, beats: bool = True) -> tuple[str, float] | None:
         """What it breaks its bound by, and for how long (s)."""
         self.beat += beats
-        self.watch.look(self.port, self.process, self.beat, int((1000 + at) * S))
+        self.watch.look(self.port, (3, self.process), self.beat, int((1000 + at) * S))
         found = self.watch.responses
         return None if found.broken is None else (found.broken, round(found.silent, 3))
 
@@ -130,7 +130,7 @@ def test_another_server_begins_anew() -> None:
     served.port.answered = 0
     assert served.look(1.6) is None
     assert served.watch.responses.answered == 0
-    served.watch.look(None, 0, 0, 0)
+    served.watch.look(None, (0, 0), 0, 0)
     assert served.watch.responses.answered == 0
 
 

@@ -21,7 +21,7 @@ def broken_assumptions(node: ForeignNode) -> dict[str, tuple[str, str]]:
 
     Silent is also a server that breaks its bound.
     """
-    if node.gates is None or node.record.simulated_time:
+    if node.gates is None:
         return {}
     found = {}
     for functionality in node.component:
@@ -40,6 +40,8 @@ def _silence(node: ForeignNode, functionality: str, port: str) -> str | None:
     if node.component.is_service(port):
         return _unanswered(node, functionality, port)
     gates, rate = node.gates, node.component.stated_rate(port, node.record.modes)
+    if node.record.simulated_time:  # times of writes on `/clock` are not compared
+        return None
     if gates is None or port not in node.record.links or not rate or (received := gates.age(port)) is None:
         return None
     topic, tolerates = node.record.topics[port], node.component.tolerates.get(port)
@@ -56,7 +58,8 @@ def _silence(node: ForeignNode, functionality: str, port: str) -> str | None:
 def _unanswered(node: ForeignNode, functionality: str, port: str) -> str | None:
     """In words, that the server of a client breaks the bound that is assumed of it; None where it does not."""
     found = node.responses(port)
-    if found is None or found.broken is None or node.seconds_in_mode(functionality) <= found.tolerated:
+    entered = node.due(node.seconds_in_mode(functionality))
+    if found is None or found.broken is None or entered is None or entered <= found.tolerated:
         return None
     client = KIND_WORDS[node.component.kind_of(port)].input
     tolerated = f"silence is tolerated for {found.tolerated:.2g} s"

@@ -19,9 +19,9 @@ from midstride.foreign.page import SEND_GOAL
 from midstride.foreign.page_layout import PagePort
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
-from midstride.foreign.response_watch import ResponseWatch
 from midstride.model.component import ComponentSpec, same_value
 from midstride.node.author.message_times import window_of
+from midstride.node.control.response_watch import ResponseWatch
 from midstride.wire.state import (
     NOT_WELCOMED,
     THIS_HOST,
@@ -261,11 +261,11 @@ class ForeignNode:
     def responses(self, port: str) -> MeasuredResponses | None:
         """Return what is seen of the server at an attached port; None where no bound is stated, or nothing is seen.
 
-        In simulated time nothing is: a server may wait for ``/clock``.
+        In simulated time, a bound is one of the time on ``/clock``; nothing is seen where that is not known.
         """
-        record, component, gates = self.record, self.component, self.gates
+        record, component, gates = self.record, self.component, self.requests
         within = component.stated_bound(port, record.modes) if port in record.links else None
-        if within is None or gates is None or record.simulated_time:
+        if within is None or gates is None:
             self._bounds.pop(port, None)
             return None
         watch, known = self._bounds.get(port, (None, None))
@@ -277,11 +277,13 @@ class ForeignNode:
         server = page.server(service, gates.index if component.has_output(port) else None, known)
         self._bounds[port] = watch, server
         if server is None:
-            watch.look(None, 0, 0, 0)
-            return None
+            watch.look(None, (0, 0), 0, 0)
+            return None if component.has_output(port) else self.others.responses(record.topics[port], watch)
         index = server.node - 1
-        watch.look(server, int(page.layout.nodes[index].pid), page.beat(index), time.monotonic_ns())
-        return watch.responses
+        process = int(server.node), int(page.layout.nodes[index].pid)
+        speed = min(1.0, self.others.speed) if record.simulated_time else 1.0
+        watch.look(server, process, page.beat(index), time.monotonic_ns(), self.due, speed)
+        return watch.responses if speed else None
 
     def _link(self, port: str) -> LinkState:
         gates = self.gates

@@ -1,4 +1,4 @@
-"""Reports of components with an agent of Midstride inside: when they have written last, and how `/clock` moves.
+"""Reports of components with an agent of Midstride inside: what they have written and answered, and how `/clock` moves.
 
 Nodes with a preloaded library show the first in the page (:mod:`midstride.foreign.page`), which relays and components
 with the API do not write. Neither the page nor the manager has times on `/clock`. So a node without Midstride's API
@@ -11,7 +11,10 @@ import time
 from collections.abc import Mapping
 from typing import Final
 
-from midstride.wire.state import ComponentState
+from msgspec.structs import replace
+
+from midstride.node.control.response_watch import ResponseWatch
+from midstride.wire.state import ComponentState, MeasuredResponses
 
 # What a component has reported says nothing any more after so long (s); it reports twice a second.
 FRESH: Final = 1.5
@@ -25,6 +28,8 @@ class ReportedStates:
     def __init__(self) -> None:
         # By instance: when it has reported, and by topic when it had written last (steady s).
         self._reports: dict[str, tuple[float, Mapping[str, float]]] = {}
+        # By service or ROS action: when its server has reported, and how it answers.
+        self._responses: dict[str, tuple[float, MeasuredResponses]] = {}
         self._speed = 0.0
         self._at = self._since = 0.0  # of the last report of `/clock`, and of the first since which it moves (steady s)
 
@@ -41,6 +46,13 @@ class ReportedStates:
             if link.gate == "open" and link.measured is not None and link.measured.age is not None
         }
         self._reports[state.instance] = now, {} if state.simulated_time else written
+        if has_agent:
+            self._responses |= {
+                name: (now, link.responses)
+                for links in state.ports.values()
+                for name, link in links.items()
+                if link.gate == "open" and link.responses is not None
+            }
         if state.simulated_time and has_agent:
             if not self.speed or not state.clock_speed:
                 self._since = now
@@ -51,6 +63,17 @@ class ReportedStates:
         now = time.monotonic()
         last = [written[topic] for at, written in self._reports.values() if topic in written and now - at < FRESH]
         return now - max(last) if last else None
+
+    def responses(self, service: str, watch: ResponseWatch) -> MeasuredResponses | None:
+        """How the server of ``service`` answers a client with the bound of ``watch``; None where none reports that.
+
+        Late is what is late by the server's own bound, which is no longer than the client's.
+        """
+        at, found = self._responses.get(service, (0.0, None))
+        if found is None or time.monotonic() - at >= FRESH:
+            return None
+        broken = (found.broken or "has not answered in time") if found.silent > watch.tolerated else None
+        return replace(found, within=watch.within, tolerated=watch.tolerated, broken=broken)
 
     @property
     def speed(self) -> float:

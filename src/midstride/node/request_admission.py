@@ -26,6 +26,7 @@ from functools import partial
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from midstride.node.accepted_goals import Goals
+from midstride.node.served_times import ServedTimes
 
 # For how long (s) a request is held while admission is closed, and how many at most: a predecessor that answers has
 # done so by then.
@@ -68,7 +69,7 @@ class Turn(Enum):
 
 class _Held(NamedTuple):
     """A request that is held since ``since`` (steady ns). ``asks_for``: the goal that it asks for; ``about``: the one
-    that it is about, empty where that is many. None: none."""
+    that it is about, empty where that is many. None: none. ``service``: which one it is to, where that is timed."""
 
     request: str
     since: int
@@ -76,6 +77,7 @@ class _Held(NamedTuple):
     passable: PassableRequest | None = None
     asks_for: str | None = None
     about: str | None = None
+    service: str = ""
 
 
 class RequestAdmission:
@@ -98,6 +100,9 @@ class RequestAdmission:
         self._left: dict[str, list[Callable[[], object]]] = {}
         self.passed_handlers: dict[str, PassedHandler] = {}  # by the full name of the service
         self._unfinished: dict[str, str | None] = {}  # with the goals that they ask for
+        # By the full name of a service or ROS action with a bound: how long its requests take.
+        self.timed: dict[str, ServedTimes] = {}
+        self._timed: dict[str, ServedTimes] = {}  # by request that is being handled
         self._answered: int | None = None  # when the last request was handled to the end
         self._paused = False
         self.yields = 0
@@ -108,6 +113,8 @@ class RequestAdmission:
         later: Callable[[], object],
         passable: PassableRequest | None = None,
         asks_for: str | None = None,
+        service: str = "",
+        waited: float = 0.0,
     ) -> bool:
         """Return whether to handle ``request`` now.
 
@@ -115,7 +122,9 @@ class RequestAdmission:
 
         ``passable``: how it is passed on to a successor that has not received it; None where it cannot be.
         ``asks_for``: the goal that it asks for. ``request`` identifies it: the same for every server that receives it,
-        and unique among all requests. Call :meth:`finished` once it has been handled, now or later.
+        and unique among all requests. ``service``: the full name of the service or ROS action that it is to;
+        ``waited``: for how long the middleware has had it (s). Call :meth:`finished` once it has been handled, now or
+        later.
         """
         now = self._steady()
         with self._lock:
@@ -123,11 +132,18 @@ class RequestAdmission:
                 return False
             if self.is_open:
                 self._handled[request] = now
-                self._unfinished[request] = asks_for
+                self._begin(request, service, asks_for, waited)
             else:
-                self._held[request] = _Held(request, now, later, passable, asks_for)
+                self._held[request] = _Held(request, now, later, passable, asks_for, service=service)
             self._forget_old(now)
             return self.is_open
+
+    def _begin(self, request: str, service: str, asks_for: str | None = None, waited: float = 0.0) -> None:
+        """Note that ``request`` is being handled from now on. With the lock."""
+        self._unfinished[request] = asks_for
+        if (times := self.timed.get(service)) is not None:
+            self._timed[request] = times
+            times.came(request, waited)
 
     def handle(
         self,
@@ -212,6 +228,8 @@ class RequestAdmission:
         with self._lock:
             if request in self._unfinished:
                 del self._unfinished[request]
+                if (times := self._timed.pop(request, None)) is not None:
+                    times.ended(request)
                 self._answered = self._steady()
 
     def answered_within(self, seconds: float) -> bool:
@@ -261,8 +279,8 @@ class RequestAdmission:
         with self._lock:
             return [each for each in requests if each not in self._handled and each not in self._held]
 
-    def admit_passed(self, request: str) -> bool:
-        """Return whether to handle a request that the predecessor passes on, which is so unless it has arrived.
+    def admit_passed(self, request: str, service: str = "") -> bool:
+        """Return whether to handle a request to ``service`` that the predecessor passes on: unless it has arrived.
 
         If it arrives later, it is not handled again. Call :meth:`finished` as for others.
         """
@@ -270,7 +288,7 @@ class RequestAdmission:
             if request in self._handled or request in self._held:
                 return False
             self._handled[request] = self._steady()
-            self._unfinished[request] = None
+            self._begin(request, service)
             return True
 
     def _forget_old(self, now: int) -> None:
@@ -358,7 +376,7 @@ class RequestAdmission:
             for held in due:
                 if held.about is None:
                     self._handled[held.request] = now
-                    self._unfinished[held.request] = held.asks_for
+                    self._begin(held.request, held.service, held.asks_for)
             self._forget_old(now)
             self.is_open, self._paused = True, False
         for held in due:

@@ -75,7 +75,7 @@ class SimulatedServer(RetiringServer[Callable[[Any, Any], Any]]):
             request.identity.encode,
             lambda data: self._later(lambda: respond(request.passed)),
         )
-        if self.admission.admit(request.identity, lambda: self._later(handle), passable):
+        if self.admission.admit(request.identity, lambda: self._later(handle), passable, service=self.end.name):
             handle()
 
     def _handle(self, request: SimulatedRequest, respond: Callable[[Any], object]) -> None:
@@ -180,7 +180,8 @@ class SimulatedActionServer(RetiringServer[GoalAnswers]):
 
     def _admit(self, request: SimulatedRequest) -> None:
         handle = partial(self._handle, request)
-        if self.admission.admit(request.identity, lambda: self._later(handle)):
+        timed = self.end.name if request.kind == "goal" else ""
+        if self.admission.admit(request.identity, lambda: self._later(handle), service=timed):
             handle()
 
     def _handle(self, request: SimulatedRequest) -> None:

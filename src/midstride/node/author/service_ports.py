@@ -23,7 +23,9 @@ from midstride.node.author.declared_contracts import Guarantee, check_seconds, c
 from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.ports import Input, InputLink, Output, OutputLink
 from midstride.node.component_host import CalledService, Host, ServedService
-from midstride.wire.state import GateState, LinkState
+from midstride.node.control.response_watch import ResponseWatch
+from midstride.node.served_times import ServedTimes, SlowerClock
+from midstride.wire.state import GateState, LinkState, MeasuredResponses
 
 #: ``function(request, response)`` fills the response, and returns it or None. It may be async.
 RequestFunction: TypeAlias = Callable[[Any, Any], Any]
@@ -85,14 +87,36 @@ class _ServerEndpoint:
 
 
 class ServerLink(OutputLink):
-    """One attachment of a server. Its gate is shown as open while its instance is the one that answers."""
+    """One attachment of a server. Its gate is shown as open while its instance is the one that answers.
 
-    __slots__ = ("_answers", "service")
+    ``watch``: whether it answers within the bound that the program states; None where that states none.
+    """
+
+    __slots__ = ("_answers", "_times", "service", "watch")
 
     def __init__(self, server: ServerPort, topic: str, host: Host) -> None:
         self.service = _ServerEndpoint(lambda: server.make(host, topic))
         super().__init__(server, topic, self.service, MessageTimes(host.now))
         self._answers = host.admission
+        self._times: ServedTimes | None = None
+        self.watch: ResponseWatch | None = None
+        if server.within is not None:
+            clock = SlowerClock(host.steady, host.now, lambda: host.simulated_time)
+            self._times = self._answers.timed[topic] = ServedTimes(clock)
+            self.watch = ResponseWatch(server.within)
+
+    def look(self, beat: int, busy_for: int) -> None:
+        """See how it answers. ``busy_for``: for how long the data thread has not been free (ns), 0 where it is."""
+        if self.watch is None or self._times is None:
+            return
+        now = self._times.clock()
+        self._times.busy = max(1, now - busy_for) if busy_for else 0
+        self.watch.look(self._times if self.is_live else None, (0, 0), beat, now)
+
+    def destroy(self) -> None:
+        if self._times is not None and self._answers.timed.get(self.topic) is self._times:
+            del self._answers.timed[self.topic]
+        super().destroy()
 
     @property
     def lets_pass(self) -> bool:
@@ -121,6 +145,10 @@ class ServerPort(Output):
         self.refusal = refusal
         # Whether the mode of its functionality serves.
         self.serving = False
+        self._beat = 0  # how often it was looked
+        # Runs on the data thread as soon as that is free, and since when that was waited for (steady ns).
+        self._probe: asyncio.Future[None] | None = None
+        self._probed = 0
         # Calls the function, once the component runs: the functionality degrades where it raises.
         self.call: Callable[[ServerPort, Any, Any], Any] = lambda server, request, response: None
 
@@ -176,8 +204,29 @@ class ServerPort(Output):
             )
         return result
 
+    def look(self, host: Host) -> None:
+        """Look whether it answers within its bound. Control thread."""
+        if self.within is None or not self.links:
+            return
+        now = host.steady()
+        if self._probe is None or self._probe.done():
+            self._probed = now
+            self._probe = asyncio.ensure_future(host.on_data(lambda: None))
+        self._beat += 1
+        for link in self.links:
+            if isinstance(link, ServerLink):
+                link.look(self._beat, now - self._probed)
+
     def states(self) -> dict[str, LinkState]:
-        return {link.topic: LinkState(gate=link.gate, count=0, fenced=link.fenced) for link in self.links}
+        return {
+            link.topic: LinkState(gate=link.gate, count=0, fenced=link.fenced, responses=self._responses(link))
+            for link in self.links
+        }
+
+    def _responses(self, link: OutputLink) -> MeasuredResponses | None:
+        """How it answers where its mode guarantees a bound."""
+        watch = link.watch if self.serving and isinstance(link, ServerLink) else None
+        return None if watch is None else watch.responses
 
     def __repr__(self) -> str:
         words = KIND_WORDS[connector_kind(type_name(self.type, kind=self.kind))]

@@ -17,7 +17,7 @@ from typing import Final
 
 from midstride.errors import CommandRefused
 from midstride.node.author.ports import Input, Output
-from midstride.node.author.service_ports import ABSENT, ClientPort
+from midstride.node.author.service_ports import ABSENT, ClientPort, ServerPort
 from midstride.node.component_host import Host
 from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, Shortfall, Stopwatch, tolerated_periods
 from midstride.node.data.functionality_runner import FunctionalityRunner
@@ -231,6 +231,8 @@ class Reflex:
             if seconds is None:
                 client.pardon()
             client.look()
+        for server in {port for runner in self.runners for port in runner.outputs if isinstance(port, ServerPort)}:
+            server.look(self.host)
         for runner in self.runners:
             watch = self._watches.get(runner)
             if watch is None or watch.entered != runner.entered:

@@ -246,7 +246,7 @@ class Answering:
         handle = self.admission.passed_handlers.get(command.service)
         if handle is None:
             raise CommandRefused(f"there is no service {command.service}")
-        if not self.admission.admit_passed(command.request):
+        if not self.admission.admit_passed(command.request, command.service):
             return replies.ServedRequest(response=None)
         loop = asyncio.get_running_loop()
         response: asyncio.Future[bytes | None] = loop.create_future()

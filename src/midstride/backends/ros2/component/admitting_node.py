@@ -5,6 +5,7 @@ The instances of a role have one node name, so every request to the node reaches
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
@@ -91,7 +92,8 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
             lambda: serialize_message(request),
             lambda data: later(lambda: send(deserialize_message(data, types.Response), header)),
         )
-        if admission.admit(identity, lambda: later(handle_it), passable):
+        waited = max(0, time.time_ns() - header.received_timestamp) / 1e9 if header.received_timestamp else 0.0
+        if admission.admit(identity, lambda: later(handle_it), passable, service=service.service_name, waited=waited):
             handle_it()
 
     def handle_passed(identity: str, data: bytes, respond: Callable[[bytes | None], object]) -> None:
@@ -127,7 +129,8 @@ def guard_action(server: Any, admission: RequestAdmission, later: Callable[[Call
         if kind == "goal":
             goal = _uuid(request.goal_id)
             identity = f"goal {goal} {header.sequence_number}"
-            if admission.admit(identity, lambda: later(partial(accept, identity, goal, entry)), asks_for=goal):
+            accept_it, timed = partial(accept, identity, goal, entry), getattr(server, "timed_as", "")
+            if admission.admit(identity, lambda: later(accept_it), asks_for=goal, service=timed):
                 await accept(identity, goal, entry)
             return
         if kind == "result":

@@ -94,6 +94,7 @@ class RosActionServer(RetiringServer[GoalAnswers]):
             goal_callback=lambda goal: GoalResponse.ACCEPT if self._accepts(goal) else GoalResponse.REJECT,
             cancel_callback=lambda goal: CancelResponse.ACCEPT if self.answer.cancels(goal) else CancelResponse.REJECT,
         )
+        self.service.timed_as = name
 
     def _accepts(self, goal: Any) -> bool:
         return not self.retired and self.answer.accepts(goal)

@@ -1,4 +1,4 @@
-"""Judges whether a server of a node without Midstride's API keeps its bound, by what the preloaded library has seen.
+"""Judges whether a server keeps its bound, by what its process has recorded of the requests to it.
 
 docs/protocols/foreign.md. A request has missed the bound when it is answered late, or is not answered although the
 bound is over; what is tolerated is stated in missed requests, as for messages, and counts as so many bounds of time.
@@ -6,9 +6,9 @@ bound is over; what is tolerated is stated in missed requests, as for messages, 
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable, Sequence
+from typing import Final, Protocol
 
-from midstride.foreign.page_layout import LATEST, PagePort
 from midstride.node.control.shortfall import LONG_FLOOR, tolerated_periods
 from midstride.wire.state import MeasuredResponses
 
@@ -17,11 +17,34 @@ STOPPED: Final = 3.0
 _WRAP: Final = 2**32
 
 
+class RecordedServer(Protocol):
+    """A server as its process records it, on one clock (ns).
+
+    ``answered`` requests in all, and how long the last ones took (``took``, in us): that of response n at n modulo its
+    length. ``waiting``: since when the oldest request is not answered; ``busy``: since when nothing waits for requests;
+    0 where none, or something, does.
+    """
+
+    @property
+    def answered(self) -> int: ...
+    @property
+    def took(self) -> Sequence[int]: ...
+    @property
+    def waiting(self) -> int: ...
+    @property
+    def busy(self) -> int: ...
+
+
+def all_of_it(seconds: float) -> float | None:
+    """Count all of the last ``seconds``, as where the clock of the records is the one of the bound."""
+    return seconds
+
+
 class ResponseWatch:
     """Watches one server for a bound of ``within`` (s). ``missed``: how many requests may miss it in succession.
 
-    Where that is not stated, they are as many as messages of a topic, and no less than 5 s. Times are of
-    CLOCK_MONOTONIC, in ns.
+    Where that is not stated, they are as many as messages of a topic, and no less than 5 s. Times are those of the
+    clock of the records, in ns.
     """
 
     def __init__(self, within: float, missed: int | None = None) -> None:
@@ -43,25 +66,38 @@ class ResponseWatch:
         self._longest: float | None = None
         self._silent: tuple[str, float] | None = None
 
-    def look(self, server: PagePort | None, process: int, beat: int, now: int) -> None:
-        """See what ``server`` has done since the last look; None: there is none. ``beat``: of its process."""
-        known = None if server is None else (int(server.node), process)
+    def look(
+        self,
+        server: RecordedServer | None,
+        process: tuple[int, int],
+        beat: int,
+        now: int,
+        due: Callable[[float], float | None] = all_of_it,
+        speed: float = 1.0,
+    ) -> None:
+        """See what ``server`` of ``process`` has done since the last look; None: there is none.
+
+        ``process``: which one it is; ``beat``: how often it has looked for requests. Where the bound is on another
+        clock than the records, ``due`` says how much of the last seconds counts on that (None: not known), and
+        ``speed`` how many of its seconds go by in one of theirs.
+        """
+        known = None if server is None else process
         if known != self._known:
             self._known = known
             self._restart()
         if server is None:
             return
-        self._see_responses(server, now)
+        self._see_responses(server, now, speed)
         if beat != self._beat:
             self._beat, self._beat_at = beat, now
-        self._silent = self._silence(server, now)
+        self._silent = self._silence(server, now, due)
 
-    def _see_responses(self, server: PagePort, now: int) -> None:
-        answered = int(server.answered)
+    def _see_responses(self, server: RecordedServer, now: int, speed: float) -> None:
+        answered, kept = int(server.answered), len(server.took)
         new = 0 if self._answered is None else (answered - self._answered) % _WRAP
         self._answered, self._longest = answered, None
-        for number in range(answered - min(new, LATEST), answered):
-            took = server.took[number % LATEST] / 1e6
+        for number in range(answered - min(new, kept), answered):
+            took = server.took[number % kept] / 1e6 * speed
             self.answered += 1
             self._longest = max(took, self._longest or 0.0)
             if took <= self.within:
@@ -71,7 +107,9 @@ class ResponseWatch:
             self._late_since = self._late_since if self._lates else now - int(took * 1e9)
             self._lates, self._late_at = self._lates + 1, now
 
-    def _silence(self, server: PagePort, now: int) -> tuple[str, float] | None:
+    def _silence(
+        self, server: RecordedServer, now: int, due: Callable[[float], float | None]
+    ) -> tuple[str, float] | None:
         """Return what the server fails to do, in words, and for how long (s); None where it does.
 
         One request that is never answered is one that has missed the bound: where others are answered in time, it is no
@@ -89,7 +127,8 @@ class ResponseWatch:
         if not found:
             return None
         since, words = min(found)
-        return words, max(0, now - since) / 1e9
+        seconds = due(max(0, now - since) / 1e9)
+        return None if seconds is None else (words, seconds)
 
     @property
     def broken(self) -> bool:
