@@ -1,4 +1,4 @@
-"""Bounds of a server with the API, on real processes: a plain client degrades, `status` says so, a late one goes back."""
+"""Bounds of a server with the API, on real processes: what relies on it degrades, and a late one goes back."""
 
 from __future__ import annotations
 
@@ -91,7 +91,9 @@ def test_the_bound_of_a_server_with_the_api_is_measured(tmp_path: Path) -> None:
             assert not hanging.done()
             (user,) = (each for each in (await manager.status()).instances if each.role == "user")
             because = user.functionalities[0].because or ""
-            assert because.startswith("the assumption of mode normal broke: client map: the server of /map has not answer")
+            assert because.startswith(
+                "the assumption of mode normal broke: client map: the server of /map has not answer"
+            )
             while not (faults := [each.words for each in (await manager.status()).silences]):
                 assert not hanging.done()
                 await system.bare.spin()
@@ -106,7 +108,9 @@ def test_the_bound_of_a_server_with_the_api_is_measured(tmp_path: Path) -> None:
             outcome = await system.meanwhile(manager.change(PlanRequest(replace=(("maps", "Late"),))))
             late.cancel()
             assert outcome.outcome == "rolled_back"
-            assert "requests late (in up to" in (outcome.because or "") or "has not answered for" in (outcome.because or "")
+            assert "requests late (in up to" in (outcome.because or "") or "has not answered for" in (
+                outcome.because or ""
+            )
             assert "on /map after the hand-over: 0.2 s are promised" in (outcome.because or "")
             await system.until(lambda: mode() == "normal")
 

@@ -192,6 +192,45 @@ def test_what_the_new_one_wrote_with_its_own_state_is_forgotten(between: Callabl
     between(body)
 
 
+def test_a_node_is_asked_once_to_import_one_state(between: Callable[[Body], None]) -> None:
+    """Also by the agent of the next manager, which cannot know whether the node has heard the last one."""
+
+    async def body(system: StatefulNodes) -> None:
+        node = system.behind["new"]
+
+        async def imports(exporter: str) -> None:
+            await system.change("new", commands.ImportStateCommand(state=b"41", timeout=0.1, exporter=exporter))
+
+        async def next_manager() -> None:
+            await system.agents["new"].close()
+            await system.answer("new")
+            system.client.disconnect("new")
+
+        def imported() -> int:
+            return system.events.count("new imported 41")
+
+        node.no_import = "of another version"
+        with pytest.raises(CommandRefused, match="of another version"):
+            await imports("a")
+        node.no_import = None
+        await imports("a")
+        await next_manager()
+        await imports("a")
+        assert imported() == 1
+        node.hangs.add("import")
+        with pytest.raises(CommandRefused, match="has not answered within"):
+            await imports("b")
+        node.hangs.clear()
+        await next_manager()
+        with pytest.raises(CommandRefused, match="before the last manager ended, and may have; it is not asked again"):
+            await imports("b")
+        assert imported() == 1
+        await imports("c")
+        assert imported() == 2
+
+    between(body)
+
+
 # -- without a gate inside, in virtual time --------------------------------------------------------------------------
 
 KEPT = {"Talker": {"kept": b"41"}, "Other": {"kept": b""}}

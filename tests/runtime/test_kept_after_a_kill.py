@@ -206,6 +206,52 @@ def test_state_outlasts_the_manager(finish: bool, strategy: Any, when: When, eve
     assert taken_up and all(said.startswith("what it has learned") for said in taken_up), taken_up
 
 
+@pytest.mark.parametrize("later", [0, 3], ids=["while it goes on", "when it has ended"])
+def test_a_process_imports_once_what_takes_longer_than_its_manager_lives(later: float, tmp_path: Path) -> None:
+    """The next manager has the state, too, and cannot know that it was imported."""
+    specification = stateful_talkers(tmp_path)
+    for program in tmp_path.glob("*.py"):
+        text = program.read_text().replace(
+            'state = given.decode() + "+"',
+            'imports.append(given)\n    time.sleep(1.5)\n    state = f"imported {len(imports)} times"',
+        )
+        program.write_text(f"import time\n\nimports = []\n{text}")
+    simulator, workspace, disk = Simulator(), Workspace(tmp_path / "system"), MortalDisk()
+    workspace.path.mkdir()
+
+    def imports(name: str) -> list[bytes]:
+        program: Any = simulator.processes[name]._program if name in simulator.processes else None
+        found: list[bytes] = [] if program is None else getattr(program._main, "imports", [])
+        return found
+
+    async def dies_meanwhile() -> None:
+        while not imports("talker_2"):
+            await asyncio.sleep(0.01)
+        disk.dead = True
+
+    async def main() -> None:
+        first = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
+        await first.up()
+        killing = asyncio.ensure_future(dies_meanwhile())
+        await until_killed(first, first.change(changed(REPLACE, strategy="paper")), disk)
+        await killing
+        with suppress(Killed):
+            await first.close()
+        await asyncio.sleep(later)
+        disk.revive()
+        options = SystemOptions(finish_interrupted=True)
+        second = Manager(specification, simulator, workspace, EXAMPLES / "talker", options=options, disk=disk)
+        await second.up()
+        await asyncio.sleep(5)
+        assert not any("did not restore its state" in event.words for event in second.log())
+        assert len(imports("talker_2")) == 1
+        assert await last_said(simulator) == "imported 1 times"
+        assert disk.saved(workspace).exported == {}
+        await second.close()
+
+    simulator.run(main())
+
+
 def test_state_that_waits_for_its_role_is_imported_by_a_later_start(tmp_path: Path) -> None:
     """The program cannot be started when the next manager comes up: what its predecessor has exported waits."""
     specification = stateful_talkers(tmp_path)

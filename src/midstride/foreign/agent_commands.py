@@ -71,7 +71,7 @@ class ForeignCommands:
                 own = self._peers.exporting(self._node.record.instance)
                 return replies.ExportedState(state=None) if own is None else await own.exported(timeout)
             case commands.ImportStateCommand(state=state, timeout=timeout) if self._state is not None:
-                await self._state.import_(state, timeout)
+                await self._state.import_once(state, timeout, command.exporter)
             case commands.PrepareStateCommand(peer=peer):
                 return await self._prepare_state(peer)
             case commands.OfferStateCommand():  # to a component, which would fetch it

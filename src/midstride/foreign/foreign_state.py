@@ -22,6 +22,10 @@ STATE: Final = "state"
 SHOWN: Final = 1.0
 
 
+class ImportRefused(CommandRefused):
+    """The node has not imported the state, and will not."""
+
+
 class ForeignState:
     """The state of ``node``, asked for by its ``services``. ``served``: what the graph shows of them now."""
 
@@ -45,7 +49,7 @@ class ForeignState:
         if not await self.node.comes_true(lambda: self.offers(IMPORT_STATE), SHOWN, every=WATCH):
             name, type_ = IMPORT_STATE
             words = f"{self.node.record.instance} cannot import state"
-            raise CommandRefused(f"{words}: its node offers no service {self.node.record.node}/{name} ({type_})")
+            raise ImportRefused(f"{words}: its node offers no service {self.node.record.node}/{name} ({type_})")
 
     async def export(self, timeout: float) -> bytes:
         """The state. Raises CommandRefused where the node does not export it in ``timeout`` (s), and says why."""
@@ -68,14 +72,39 @@ class ForeignState:
         return replies.ExportedState(state=found)
 
     async def import_(self, state: bytes, timeout: float) -> None:
-        """Raises CommandRefused where the node does not import ``state`` in ``timeout`` (s), and says why."""
-        await self.require_import()
+        """Raises ImportRefused where the node refuses ``state``, and says why.
+
+        Raises CommandRefused where it does not answer in ``timeout`` (s): it may import it yet.
+        """
+        words = f"{self.node.record.instance} has not imported the state"
         try:
+            await self.require_import()
             refused = await self._services.import_state(state, timeout)
         except NoAnswer as error:
-            refused = str(error)
+            raise CommandRefused(f"{words}: {error}") from None
         if refused is not None:
-            raise CommandRefused(f"{self.node.record.instance} has not imported the state: {refused}")
+            raise ImportRefused(f"{words}: {refused}")
+
+    async def import_once(self, state: bytes, timeout: float, exporter: str) -> None:
+        """Import the ``state`` of the process ``exporter``, once, also where a manager dies meanwhile.
+
+        Raises CommandRefused as :meth:`import_`, and where the node was asked to before, and has not been heard since.
+        """
+        node = self.node
+        if exporter and exporter == node.record.imported:
+            return
+        if exporter and exporter == node.record.importing:
+            name = node.record.instance
+            raise CommandRefused(
+                f"{name} was asked to before the last manager ended, and may have; it is not asked again"
+            )
+        node.change_record(importing=exporter)
+        try:
+            await self.import_(state, timeout)
+        except ImportRefused:
+            node.change_record(importing="")
+            raise
+        node.change_record(importing="", imported=exporter)
 
 
 @dataclass

@@ -29,6 +29,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     ``draining_since``: since when its goals have been waited for, as its successor takes new ones (monotonic s).
     ``role``: what it is an instance of. ``unnamed``: its program gives the node its name itself, and it was not passed
     one; ``node`` is empty until it is found. ``container``: the full name of the node that has loaded it, if any.
+    ``importing``: the process whose state it was asked to import; ``imported``: that whose state it has imported.
     ``revision`` counts its changes.
     """
 
@@ -57,6 +58,8 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     role: str = ""
     unnamed: bool = False
     container: str = ""
+    importing: str = ""
+    imported: str = ""
     revision: int = 0
 
     @property

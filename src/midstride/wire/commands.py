@@ -265,9 +265,13 @@ class SetParametersCommand(Command[PreviousParameters], frozen=True, kw_only=Tru
 
 
 class ImportStateCommand(Command[Done], frozen=True, kw_only=True, tag="import_state"):
-    """The state that the replaced component exported."""
+    """The state that the replaced component exported, with the UUID of its process (``exporter``), once for each.
+
+    It is sent again where it is not known whether it was imported; where it was, the reply is the same.
+    """
 
     state: bytes
+    exporter: str = ""
 
 
 class RecordCommand(Command[RecordingSwitched], frozen=True, kw_only=True, tag="record"):

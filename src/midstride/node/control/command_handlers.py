@@ -477,7 +477,7 @@ class CommandHandlers:
         return replies.ExportedState(state=await self._hooks.export(command.timeout))
 
     async def _import_state(self, command: commands.ImportStateCommand) -> replies.Done:
-        await self._hooks.import_(command.state, command.timeout)
+        await self._hooks.import_(command.state, command.timeout, exporter=command.exporter)
         return replies.Done()
 
     async def _record(self, command: commands.RecordCommand) -> replies.RecordingSwitched:

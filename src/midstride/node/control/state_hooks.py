@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
 from midstride.errors import CommandRefused
@@ -20,6 +20,7 @@ class StateHooks:
 
     callbacks: Callbacks
     data: DataExecutor
+    _imported: str = field(default="", init=False)  # whose state
 
     def exports(self, to_changes: bool) -> Literal["nothing", "whole", "changes"]:
         """The export at a cut to a component that can, or cannot, import changes."""
@@ -47,11 +48,21 @@ class StateHooks:
         if self.callbacks.import_state is None:
             raise CommandRefused("the component cannot import state: it has no on_import_state")
 
-    async def import_(self, state: bytes, timeout: float, changes: bool = False) -> None:
+    async def import_(self, state: bytes, timeout: float, changes: bool = False, exporter: str = "") -> None:
+        """Import ``state``, that of the process ``exporter`` once: it may be sent again.
+
+        A manager cannot know whether its last one has had it imported. That may not have ended, so it is looked up where it ends, on the data thread.
+        """
         self.check_import()
         hook = self.callbacks.import_changes if changes else self.callbacks.import_state
         assert hook is not None
-        await self._run(lambda: hook(state), "on_import_changes" if changes else "on_import_state", timeout)
+
+        def import_once() -> None:
+            if not exporter or exporter != self._imported:
+                hook(state)
+                self._imported = exporter
+
+        await self._run(import_once, "on_import_changes" if changes else "on_import_state", timeout)
 
     async def _run(self, function: Callable[[], T], what: str, timeout: float) -> T:
         def guarded() -> T:

@@ -12,7 +12,7 @@ from typing import Final
 
 from msgspec import structs
 
-from midstride.errors import MidstrideError
+from midstride.errors import MidstrideError, RevisionChanged
 from midstride.model.configuration import Instance
 from midstride.model.specification import HANDOVER_SECONDS
 from midstride.model.wording import counted
@@ -52,8 +52,13 @@ async def import_state(
 
     Returns in words that it could not, where that is no failure (``lenient``). Else raises MidstrideError.
     """
+    command = ImportStateCommand(state=left.state, exporter=left.exporter, timeout=timeout)
     try:
-        await client.change(instance.name, ImportStateCommand(state=left.state, timeout=timeout))
+        try:
+            await client.change(instance.name, command)
+        except RevisionChanged:  # it may just have imported it, as an earlier manager has asked it to
+            client.forget_revision(instance.name)
+            await client.change(instance.name, command)
     except MidstrideError as error:
         if not lenient:
             raise
