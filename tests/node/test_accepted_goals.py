@@ -368,6 +368,30 @@ def test_requests_of_two_clients_about_goals_may_look_the_same() -> None:
     assert [admission.turn("cancel all 1", "", lambda: None) for _ in range(2)] == [Turn.ANSWER] * 2
 
 
+def test_a_request_that_looks_like_another_clients_handled_before_is_handled_all_the_same() -> None:
+    """The predecessor has handled the first request of one client, and the new instance holds that of another one."""
+
+    def handled(by_old: list[float], by_new: list[float]) -> int:
+        """How many of those that come to the new instance at these times (s) it handles."""
+        time, called = 0.0, list[float]()
+        old = RequestAdmission(lambda: int(time * 1e9))
+        new = RequestAdmission(lambda: int(time * 1e9), is_open=False)
+        for time in sorted({*by_old, *by_new}):
+            if time in by_old:
+                assert old.turn("cancel all 1", "", lambda: None) is Turn.ANSWER
+            if time in by_new:
+                assert new.turn("cancel all 1", "", partial(called.append, time)) is Turn.WAIT
+        time = max(*by_old, *by_new) + 0.1
+        new.open(old.close())
+        return len(called)
+
+    assert handled([1.0], [1.0]) == handled([1.0], [1.3]) == 0, "the same request at both"
+    assert handled([1.0], [40.0]) == 1, "that of another client, long after"
+    assert handled([1.0], [1.0, 1.2]) == 2, "which of the two was handled is not known"
+    assert handled([1.0, 1.2], [1.01, 1.21]) == 0
+    assert handled([1.0, 30.0], [30.1]) == 0
+
+
 def test_what_waits_while_state_moves_is_asked_again_once_it_has() -> None:
     called: list[str] = []
     admission = RequestAdmission(lambda: 0)

@@ -24,7 +24,7 @@ class ClockHost(ServiceHost):
         self.simulated_time = False
         self.ros = 0.0
 
-    def now(self) -> int:  # type: ignore[override]
+    def now(self) -> int:
         return round((self.ros if self.simulated_time else self.time) * S)
 
 

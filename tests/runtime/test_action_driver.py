@@ -363,7 +363,9 @@ def test_what_replaces_a_removed_instance_has_its_state(tmp_path: Path) -> None:
         await perform(b, Create(other))
         await perform(b, Create(NEW))
         assert EXPORTED.state is not None
-        assert b.client.of(ImportStateCommand, "talker_2") == [ImportStateCommand(state=EXPORTED.state)]
+        assert b.client.of(ImportStateCommand, "talker_2") == [
+            ImportStateCommand(state=EXPORTED.state, exporter="uuid of talker")
+        ]
         assert b.client.of(ImportStateCommand, "other") == [], "it is of another role"
 
     bench(talking(), tmp_path, body)

@@ -10,10 +10,12 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.errors import Unreachable
+from midstride.lang.load import load_text
+from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
-from tests.runtime.systems import EXAMPLES, example, managed, replace
+from tests.runtime.systems import EXAMPLES, example, managed, replace, stateful_talkers
 
 
 def answering(simulator: Simulator, role: str) -> list[str]:
@@ -45,6 +47,74 @@ def test_never_do_two_instances_answer_and_afterwards_the_new_one_does(
         assert all(len(instances) <= 1 for instances in seen)
 
     managed(name, tmp_path, body, simulator)
+
+
+def serving_talkers(folder: Path, attachment: str) -> Specification:
+    """The talker's system; with an ``attachment``, the talker is a program that also serves."""
+    component = "NewTalker" if attachment else "Talker"
+    return load_text(f"""system talker
+topic /chatter : std_msgs/msg/String @ 10 Hz
+service /tell : std_srvs/srv/Trigger
+component Talker {{
+  run "python3 {folder}/Talker.py"
+  output out
+  functionality talk {{
+    produces out
+    mode normal {{ guarantee out : std_msgs/msg/String @ 10 Hz }}
+    mode degraded {{ }}
+  }}
+}}
+component NewTalker {{
+  run "python3 {folder}/NewTalker.py"
+  output out
+  server tell
+  functionality talk {{
+    produces out
+    mode normal {{ guarantee out : std_msgs/msg/String @ 10 Hz }}
+    mode degraded {{ }}
+  }}
+  functionality serve {{ produces tell  mode normal {{ guarantee tell : std_srvs/srv/Trigger }}  mode off {{ }} }}
+}}
+node talker : {component} {{ out -> /chatter{attachment} }}
+""").require()
+
+
+@pytest.mark.parametrize("strategy", ["minimal", "paper", "quiesce"])
+def test_a_replacement_with_its_first_server_answers_once_it_has_the_state(strategy: Any, tmp_path: Path) -> None:
+    """Its server is attached before its outputs are handed over; what a request changed before that would be lost."""
+    stateful_talkers(tmp_path)
+    program = (tmp_path / "NewTalker.py").read_text()
+    served = """
+from std_srvs.srv import Trigger
+tell = comp.create_server("tell", Trigger, lambda request, response: None)
+serve = comp.create_functionality("serve", outputs=[tell])
+serve.set_normal_mode(lambda: None, outputs=[tell])
+serve.set_degraded_mode(lambda: None, name="off")
+comp.start()
+"""
+    (tmp_path / "NewTalker.py").write_text(program.replace("comp.start()\n", served))
+    before = serving_talkers(tmp_path, "")
+    target = serving_talkers(tmp_path, "  tell -> /tell")
+    simulator = Simulator()
+    seen: set[bool] = set()
+
+    async def look() -> None:
+        while True:
+            process = simulator.processes.get("talker_2")
+            if process is not None and answering(simulator, "talker") == ["talker_2"]:
+                program: Any = process._program
+                seen.add(program._main.state.endswith("+"))
+            await asyncio.sleep(0.001)
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        looking = asyncio.ensure_future(look())
+        outcome = await manager.change(PlanRequest(to=target, strategy=strategy))
+        assert outcome.outcome == "done", outcome.because
+        await asyncio.sleep(1)
+        looking.cancel()
+        assert answering(simulator, "talker") == ["talker_2"] and seen == {True}
+
+    managed("talker", tmp_path, body, simulator, before)
 
 
 def crashes(simulator: Simulator, instance: str, at: str) -> None:

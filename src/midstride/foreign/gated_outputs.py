@@ -49,7 +49,7 @@ class _Cut:
     own: dict[str, tuple[int, int]] = field(default_factory=dict)  # by port, its baton and its flags before
     quiet: bool = False  # the new side takes over without a message too
     state: commands.StateTransfer | None = None
-    by_input: bool = False  # each input is answered by one of the two
+    falls: list[int] | None = None  # where each input is answered by one of the two, until these change
 
 
 class GatedOutputs(UngatedOutputs):
@@ -274,12 +274,15 @@ class GatedOutputs(UngatedOutputs):
         baton = self._baton_of(command, old)
         own = _decided(gates)
         before = {port: int(gates.entry(port).passed) for port in ports}
+        falls = gates.falls(old, ports)
         by_input = not command.quiet and gates.answers_as(old, ports)
         if by_input:
             gates.share_answers(ports, baton, old)
         else:
             gates.share(ports, baton)
-        cut = self._cuts[command.cut] = _Cut(command.swaps, baton, before, old, own, command.quiet, by_input=by_input)
+        cut = self._cuts[command.cut] = _Cut(
+            command.swaps, baton, before, old, own, command.quiet, falls=falls if by_input else None
+        )
         at_once = command.quiet or by_input or not any(map(gates.rate, ports))
         self._node.set_links(dict.fromkeys(ports, "open"))
         gates.page.step(baton, BatonStep.NAME_SUCCESSOR, old, gates.index, at_once=at_once)
@@ -355,8 +358,10 @@ class GatedOutputs(UngatedOutputs):
         writes = {f"{swap.port} {swap.topic}": self._last_write(swap.port, cut) for swap in cut.swaps}
         if new:
             # Outputs that have fallen out of step meanwhile may have answered a message twice, or not at all.
-            by_input = cut.by_input and cut.other is not None and gates.answers_as(cut.other, ports)
-            return replies.CutResult(outcome="done", first=writes, by_input=by_input)
+            if cut.falls is None or cut.other is None:
+                return replies.CutResult(outcome="done", first=writes)
+            in_step = gates.answers_as(cut.other, ports) and gates.falls(cut.other, ports) == cut.falls
+            return replies.CutResult(outcome="done", first=writes, by_input=in_step, out_of_step=not in_step)
         return replies.CutResult(outcome="done", last=writes)
 
     async def _await_state(self, cut: _Cut, command: commands.AwaitCutCommand) -> replies.CutResult:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -123,6 +123,12 @@ class Gates:
             return old is not None and old.in_step >= SEEN and own.in_step >= 1 and old.answers == own.answers
 
         return all(answers(self.entry(port)) for port in ports)
+
+    def falls(self, other: int, ports: Collection[str]) -> list[int]:
+        """Return how often these outputs of this node, and then of the node ``other`` (index), have ceased to do so."""
+        topics = {self.entry(port).topic for port in ports}
+        theirs = [entry for entry in self.page.ports(other) if entry.kind == OUTPUT and entry.topic in topics]
+        return [int(entry.falls) for entry in (*map(self.entry, ports), *theirs)]
 
     def answers_inputs(self, port: str) -> bool:
         """Return whether each of the last messages of an output has answered one message that the node had taken."""

@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 10
+VERSION: Final = 11
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -79,6 +79,7 @@ class PagePort(ctypes.Structure):
         ("answered", c_uint32),
         ("took", c_uint32 * LATEST),
         ("in_step", c_uint32),
+        ("falls", c_uint32),
         ("answers", c_uint64),
         ("topic", c_char * NAME),
     ]

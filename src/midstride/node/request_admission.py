@@ -19,7 +19,7 @@ import inspect
 import itertools
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
@@ -39,6 +39,11 @@ REMEMBER: Final = 60.0
 REMEMBERED: Final = 10 * HELD
 # After how long (s) a request that is held is asked after at the successor: the two receive one request so far apart.
 PASS_AFTER: Final = 0.2
+# Requests about goals that look the same, of which one was handled by the predecessor and one is held here, are the
+# same one if they came at most so far apart (s of the steady clock, which two processes of one machine share).
+SAME: Final = 1.0
+# Between the identity of a handled request about goals and when it came.
+_CAME: Final = " @"
 
 
 @dataclass(frozen=True)
@@ -194,7 +199,7 @@ class RequestAdmission:
                 self._left[about].append(later)
                 return Turn.WAIT
             if self.is_open:
-                self._handled[request] = now
+                self._handled[f"{request}{_CAME}{now}"] = now
                 self._unfinished[request] = None
                 return Turn.ANSWER
             if not (about or self._paused) and self.goals.has_any:
@@ -363,10 +368,11 @@ class RequestAdmission:
         with self._lock:
             self._forget_old(now)
             known = dict.fromkeys(handled or ())
+            about = _not_handled([held for held in self._held.values() if held.about is not None], known)
             due = [
                 held
                 for held in self._held.values()
-                if (held.about is not None if handled is None else held.request not in known)
+                if (held in about if held.about is not None else handled is not None and held.request not in known)
             ]
             self._held.clear()
             self._left.update({goal: [] for goal in goals if goal not in self._left})
@@ -381,3 +387,24 @@ class RequestAdmission:
             self.is_open, self._paused = True, False
         for held in due:
             held.handle()
+
+
+def _not_handled(held: Sequence[_Held], known: Iterable[str]) -> list[_Held]:
+    """Return which of the requests ``held`` about goals the predecessor has not handled, which has handled ``known``.
+
+    Two clients' first requests look the same, as rclpy does not pass on whose they are. Where more of them are held
+    than were handled at about the same time, all count: a client takes the first response, and one that got none
+    would wait for ever.
+    """
+    came: dict[str, list[int]] = {}
+    for request, _, at in (each.rpartition(_CAME) for each in known):
+        if request:
+            came.setdefault(request, []).append(int(at))
+
+    def handled_near(each: _Held) -> int:
+        return sum(abs(at - each.since) <= SAME * 1e9 for at in came.get(each.request, ()))
+
+    def held_near(each: _Held) -> int:
+        return sum(other.request == each.request and abs(other.since - each.since) <= SAME * 1e9 for other in held)
+
+    return [each for each in held if held_near(each) > handled_near(each)]

@@ -162,13 +162,15 @@ class CutResult(WireValue, frozen=True, kw_only=True):
 
     Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
     ``because``: what was wrong with the transfer of state; ``moved``: what has moved, of nodes without the API.
-    ``by_input``: both answer messages, and each message is answered by one of them.
+    ``by_input``: both answer messages, and each message is answered by one of them. ``out_of_step``: it was begun so,
+    and one of the two has done otherwise before it was over.
     """
 
     outcome: CutOutcome
     because: str | None = None
     moved: MovedState | None = None
     by_input: bool = False
+    out_of_step: bool = False
     last: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
     first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
 

@@ -41,6 +41,7 @@ static void out_of_step(struct port *output)
   if (atomic_load_explicit(&output->in_step, memory_order_relaxed)) {
     atomic_store(&output->in_step, 0);
     atomic_store(&output->answers, 0);
+    atomic_fetch_add(&output->falls, 1);
   }
 }
 

@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 10 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 11 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -62,8 +62,9 @@ struct port {
   _Atomic uint32_t answered;     /* how many requests it has answered */
   _Atomic uint32_t took[LATEST]; /* how long the last ones took (us); that of number n is at n % LATEST, the first is 0 */
   /* Of an output: how many messages in a row, up to the last one, have each answered an input, and one of those that have
-   * arrived meanwhile; and of which inputs, a bit for each topic. */
+   * arrived meanwhile; how often that has ended; and of which inputs, a bit for each topic. */
   _Atomic uint32_t in_step;
+  _Atomic uint32_t falls;
   _Atomic uint64_t answers;
   char topic[NAME]; /* its full name; of a server or a client, that of the service */
 };

@@ -51,7 +51,8 @@ class StateHooks:
     async def import_(self, state: bytes, timeout: float, changes: bool = False, exporter: str = "") -> None:
         """Import ``state``, that of the process ``exporter`` once: it may be sent again.
 
-        A manager cannot know whether its last one has had it imported. That may not have ended, so it is looked up where it ends, on the data thread.
+        A manager cannot know whether its last one has had it imported. That may not have ended, so it is looked up
+        on the data thread.
         """
         self.check_import()
         hook = self.callbacks.import_changes if changes else self.callbacks.import_state

@@ -214,7 +214,9 @@ class ActionDriver:
         """
         if instance.component.once and self.rolling_back:
             return False
-        standby, topics = self.system.has_instance(instance.role), self._topics(instance)
+        # One that gets state first answers what it has held with that; no agent of a node without the API waits so.
+        imports = instance.component.gate is None and instance.role in self.system.exported
+        standby, topics = imports or self.system.has_instance(instance.role), self._topics(instance)
         await self.change.parameters.ask(instance)
         start_values = self.change.parameters.start_values
         others = [each.name for each in self.configuration.instances_of(instance.role) if each.name != instance.name]
@@ -248,13 +250,13 @@ class ActionDriver:
                 standby = self.system.has_instance(instance.role)
                 await self.start(instance)
                 await self.launcher.registered(instance)
-                if not standby:  # it does already, unless it was started by hand and replaced once
-                    await have_answer(self.client, instance.name)
                 await self.change.parameters.started(instance)
                 if (left := self.system.exported.get(instance.role)) is not None:
                     await self._import_state(instance, left)
                 elif not self.rolling_back:
                     self._lost_in_crash(instance)
+                if not standby:  # it may already, unless it waited for state, or was started by hand and replaced once
+                    await have_answer(self.client, instance.name)
             case Degrade() | Upgrade():
                 await self.modes.enter(action, because, budget)
             case Handover():
@@ -384,11 +386,16 @@ class ActionDriver:
             self.own_state[new] = own_state(leaving, new, because)
 
     async def _answer_where_none_serves(self, instance: str) -> None:
-        """Have a new server answer where no other instance of its role serves: nothing is handed over to it then."""
+        """Have a new server answer where no other instance of its role serves: nothing is handed over to it then.
+
+        Where the state of that instance moves to it, it answers from then on: all requests to the node are answered by
+        one of the two, and what they change would be lost. So it is also where that is removed first.
+        """
         role = self.configuration.instances[instance].role
         for other in self.configuration.instances_of(role):
             attached = [port for port, key in self.configuration.attached_ports(other.name) if self._serves(port, key)]
-            if other.name == instance or attached:
+            moves = other.name in self._keeping and self.change.plan.change.replaced.get(other.name) == instance
+            if other.name == instance or attached or (moves and not self.rolling_back):
                 continue
             runs = not self.system.life.is_gone(other.name)
             try:

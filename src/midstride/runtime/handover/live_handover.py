@@ -425,6 +425,12 @@ class LiveHandover:
             if incoming.by_input:
                 words = f"{cut.new} took over from {cut.old} between two messages: each was answered by one of them"
                 self.events.add("note", words)
+            elif incoming.out_of_step:
+                words = (
+                    f"{cut.new} took over from {cut.old} between two messages, and one of them ceased to publish one"
+                )
+                words += " message for each that it takes: one may have been answered by both, or by neither"
+                self.events.add("note", words)
             if because is not None and cut.arbiter.exchange:
                 self.events.add("note", f"{cut.old} was deactivated before {cut.new} was activated: {because}")
             for swap in cut.swaps:
