@@ -197,7 +197,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
         SetParametersCommand(parameters={"a": [1, 2], "b": "x"}, declared={"a": [1]}, timeout=1.5),
         PreviousParameters(before={"a": 0.5}),
     ),
-    (ImportStateCommand(state=b"\x00\xff\n", timeout=1.5), Done()),
+    (ImportStateCommand(state=b"\x00\xff\n", exporter="a uuid", timeout=1.5), Done()),
     (RecordCommand(inputs=["in"], on=True, timeout=1.5), RecordingSwitched(now=3)),
     (MeetCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
     (

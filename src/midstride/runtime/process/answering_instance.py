@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from midstride.errors import CallTimeout, CommandRefused
+from midstride.errors import CallTimeout, CommandRefused, RevisionChanged
 from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import AnswerCommand
@@ -52,7 +52,12 @@ async def _ask(client: ComponentClient, instance: str, instead_of: str | None, d
     address = None if instead_of is None else client.address(instead_of)
     timeout = ANSWERS_WITHIN + max(0.0, drain - DEFAULT_STOP.drain)
     command = AnswerCommand(peer=instead_of or "", address=address, drain=drain, timeout=timeout)
-    if not (left := (await client.change(instance, command)).outlasting):
+    try:
+        answers = await client.change(instance, command)
+    except RevisionChanged:  # what an earlier manager has asked it to do has just ended
+        client.forget_revision(instance)
+        answers = await client.change(instance, command)
+    if not (left := answers.outlasting):
         return None
     what = f"{left} request{'' if left == 1 else 's'} that it had taken"
     return f"{instance} answers requests; {instead_of} has not answered {what} within the {drain:g} s of `drain`"

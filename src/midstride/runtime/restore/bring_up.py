@@ -26,6 +26,7 @@ from midstride.runtime.backend_protocol import Exited, Handle
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.handover.state_transfers import has_left_state, import_state, keeps_state
 from midstride.runtime.options import SystemOptions
+from midstride.runtime.process.answering_instance import have_answer
 from midstride.runtime.process.reaper import process_info
 from midstride.runtime.records.journal_records import Interrupted
 from midstride.runtime.records.state_store import LeftState, SavedState
@@ -208,7 +209,10 @@ class BringUp:
         values = HalfDoneValues(self.client, self.system.values, saved.carried, self.system.specification, interrupted)
         half_done = HalfDone(self.launcher, self.client, self.events, values)
         targets = [change.target for change in interrupted]
-        self.system.configuration = await recover(saved.instances, self.system.specification, half_done, targets)
+        waiting = {role: left.exporter for role, left in saved.exported.items()}
+        self.system.configuration = await recover(
+            saved.instances, self.system.specification, half_done, targets, waiting
+        )
         self.store.write_carried({})
         for role, left in saved.exported.items():
             await self._give_back(role, left)
@@ -242,6 +246,7 @@ class BringUp:
                 longest = handover_seconds(self.system.specification.timing, "state_timeout")
                 failed = await import_state(self.client, instance, left, longest, lenient=True)
                 self.events.add("note", has_left_state(instance) if failed is None else failed)
+                await have_answer(self.client, instance.name)
             self.store.write_exported(role, None)
             self.system.exported.pop(role, None)
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 
 from midstride.errors import CommandRefused, MidstrideError, ProtocolError, Unreachable
 from midstride.model.component import FunctionalityRef, PortRef
@@ -34,11 +35,13 @@ async def recover(
     specification: Specification,
     half_done: HalfDone,
     targets: Sequence[Specification] = (),
+    waiting: Mapping[str, str] = MappingProxyType({}),
 ) -> Configuration:
     """The configuration of the components that still run, after terminating those that were only partly started.
 
     ``half_done`` ends these. ``targets``: where interrupted changes led; components may be attached to the topics of
-    these already. A component started by hand that does not answer is left out. Raises Unreachable for those that a
+    these already. ``waiting``: by role, the UUID of the process whose exported state its instance is to import, and
+    answers then. A component started by hand that does not answer is left out. Raises Unreachable for those that a
     manager started.
     """
     launcher, client, events = half_done.launcher, half_done.client, half_done.events
@@ -95,8 +98,9 @@ async def recover(
                     if left is not None:
                         events.add("note", left)
         await half_done.end(instance, state, "which an earlier manager had left half done", goes_on)
-    for name in found:
-        await have_answer(client, name)
+    for name, (instance, state) in found.items():
+        if instance.role not in waiting or state.uuid == waiting[instance.role]:
+            await have_answer(client, name)
     for name, (instance, observed) in found.items():
         if fenced := _fenced(observed):  # the manager, and then its successor, exited before that took over
             await client.read(name, FenceCommand(attachments=fenced, lift=True))
