@@ -427,7 +427,9 @@ async def taken_down_beside_midstride(robot: Robot) -> None:
 
 def has_looked(manager: Manager, role: str) -> bool:
     latest = manager.system.life.latest(role)
-    return latest is not None and latest.state.serves == [f"service /save/{role}"] and bool(latest.state.undeclared)
+    if latest is None:
+        return False
+    return [each.words for each in latest.state.serves] == [f"service /save/{role}"] and bool(latest.state.undeclared)
 
 
 async def restarted(robot: Robot) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from midstride.backends.ros2 import names
 from midstride.backends.ros2.middleware import PIDS, NodeProcess, RmwImplementation, of_identifier
-from midstride.foreign.graph_check import Served
+from midstride.foreign.graph_check import NamedServer, Served
 from midstride.runtime.backend_protocol import OtherNode, OtherNodes
 
 pytestmark = pytest.mark.ros2
@@ -38,7 +38,7 @@ class DrawnGraph:
         return [f"{node}/said"]
 
     def served_by(self, node: str) -> Served:
-        return Served((f"service {node}/save",))
+        return Served((NamedServer("service", f"{node}/save", "std_srvs/srv/Trigger"),))
 
 
 def found(graph: DrawnGraph, asked: Sequence[Any], families: dict[str, set[int]] | None = None) -> dict[str, Any]:

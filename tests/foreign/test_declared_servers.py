@@ -45,7 +45,7 @@ def test_servers_that_are_as_declared() -> None:
 
 
 def test_a_server_that_is_missing() -> None:
-    served = Served(names=("service /mapp",), servers=frozenset({DOCK, MAP._replace(name="/mapp")}))
+    served = Served(own=(MAP._replace(name="/mapp"),), servers=frozenset({DOCK, MAP._replace(name="/mapp")}))
     assert not SERVERS.shown(served)
     assert SERVERS.differences(served) == [
         "node /map_server does not serve service /map, for server map of Server; it serves service /mapp"

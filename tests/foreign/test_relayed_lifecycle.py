@@ -9,7 +9,7 @@ import pytest
 
 from midstride.errors import NodeError
 from midstride.foreign import relayed_lifecycle
-from midstride.foreign.graph_check import Served
+from midstride.foreign.graph_check import NamedServer, Served
 from midstride.foreign.lifecycle_managers import LifecycleManager
 from midstride.foreign.lifecycle_transitions import ACTIVE, INACTIVE, UNCONFIGURED
 from midstride.foreign.relayed_lifecycle import RelayedLifecycle, followed
@@ -68,7 +68,7 @@ def test_a_node_that_was_active_and_is_no_more_is_named() -> None:
 
 def test_a_program_that_is_no_lifecycle_node_is_not_asked() -> None:
     program = Program()
-    program.served = Served(("service /save",))
+    program.served = Served((NamedServer("service", "/save", "std_srvs/srv/Trigger"),))
     assert not program.look() and program.connected == []
 
 

@@ -98,7 +98,7 @@ def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() ->
     assert said() == []
     assert said(looked=False) == ["what others rely on of talker besides its ports: it had just been started"]
     found = said(
-        serves=["service /save"],
+        serves=[Endpoint(kind="service", name="/save", serves=True)],
         calls=["ROS action /pick"],
         undeclared=[
             UndeclaredTopic(output=output, topic=topic, type="x")
@@ -173,7 +173,8 @@ def test_a_service_that_the_successor_answers_does_not_end(
     gate: Gate, component: str, keeps_name: bool, found: list[str]
 ) -> None:
     """The name of the old node is gone with it, unless the successor has it. Its goals go on."""
-    serves = ["service /mapper/save", "service /reset", "ROS action /dock"]
+    kinds = {"/mapper/save": "service", "/reset": "service", "/dock": "ROS action"}
+    serves = [Endpoint(kind=kind, name=name, serves=True) for name, kind in kinds.items()]  # type: ignore[arg-type]
     state = bare_state("mapper", node="/mapper", serves=serves, keeps_name=keeps_name)
     old, new = (ComponentSpec.of(kind, run="mapper", gate=gate) for kind in ("Mapper", component))
     known = LastKnown(LatestState(state, 0.0), ())
@@ -214,7 +215,7 @@ def test_between_the_api_and_a_node_without_it_both_answer() -> None:
     (found,) = what_ended("mapper", own, known, planned=True, beside=plain)
     assert "mapper and its replacement answer service /reset while both run" in found.words
     assert not list(what_ended("mapper", own, known, planned=True, beside=own))
-    state = bare_state("mapper", node="/mapper", serves=["service /reset"])
+    state = bare_state("mapper", node="/mapper", serves=[Endpoint(kind="service", name="/reset", serves=True)])
     known = LastKnown(LatestState(state, 0.0), ())
     found, _ = what_ended("mapper", plain, known, planned=False, beside=own)
     assert "mapper and its replacement answered service /reset while both run" in found.words

@@ -42,7 +42,7 @@ class DeclaredServers:
             types = sorted(server.type for server in served.servers if (server.kind, server.name) == (kind, name))
             declared = f"{words.output} {port} of {self.component.name}"
             if not types:
-                others = ", ".join(served.names)
+                others = ", ".join(map(str, served.own))
                 instead = f"; it serves {others}" if others else ""
                 yield f"node {self.node} does not serve {NamedServer(kind, name, '')}, for {declared}{instead}"
             elif type_ not in types:

@@ -13,6 +13,7 @@ from midstride.model.contract import NOTHING, ConnectorKind, Predicate, QoS, can
 from midstride.model.graph_names import is_infrastructure, resolved
 from midstride.model.near_miss import nearest
 from midstride.model.wording import KIND_WORDS
+from midstride.wire.state import Endpoint
 
 # How long a program may take to create the endpoints that are declared (s), besides what it states (`takes`).
 ENDPOINTS_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_ENDPOINTS_TIMEOUT", "20"))
@@ -46,16 +47,21 @@ class NamedServer(NamedTuple):
     def __str__(self) -> str:
         return f"{KIND_WORDS[self.kind].connector} {self.name}"
 
+    @property
+    def endpoint(self) -> Endpoint:
+        """The server as a node reports it."""
+        return Endpoint(kind="ROS action" if self.kind == "action" else "service", name=self.name, serves=True)
+
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """The services and ROS actions of a node, in words, without those of every node; whether it has a lifecycle.
+    """The services and ROS actions of a node, without those of every node (``own``); whether it has a lifecycle.
 
     ``managers``: the other nodes that change its lifecycle state.
     ``calls``: those of other nodes that it is a client of, in words. ``servers``: all of them.
     """
 
-    names: tuple[str, ...] = ()
+    own: tuple[NamedServer, ...] = ()
     has_lifecycle: bool = False
     managers: tuple[LifecycleManager, ...] = ()
     calls: tuple[str, ...] = ()

@@ -100,26 +100,25 @@ class GraphWatch:
         left = await self._left_active(served)
         # A middleware that shows nothing of the node shows no server either: then nothing is known.
         lost = self._servers.differences(served) if self._registered_at is not None and served != Served() else []
-        names = [*served.names]
-        if served.managers:
-            names.append(f"its lifecycle services, which {' and '.join(each.name for each in served.managers)} calls")
+        serves = [each.endpoint for each in served.own]
         seen = (
             [*self._declared.differences(found), *lost, *left, *self._managed_twice(served)],
             self._undeclared(found),
-            names,
+            serves,
+            [each.name for each in served.managers],
             [*served.calls],
             self._node.looked or bool(found) or never,
         )
         node = self._node
         keeps_state = self._state is not None and self._state.offers(EXPORT_STATE, served)
         if (*seen, keeps_state) != (*self._seen(), node.keeps_state):
-            node.differences, node.undeclared, node.serves, node.calls, node.looked = seen
+            node.differences, node.undeclared, node.serves, node.lifecycle_callers, node.calls, node.looked = seen
             node.keeps_state = keeps_state
             self._report()
 
     def _seen(self) -> tuple[object, ...]:
         node = self._node
-        return node.differences, node.undeclared, node.serves, node.calls, node.looked
+        return node.differences, node.undeclared, node.serves, node.lifecycle_callers, node.calls, node.looked
 
     def _undeclared(self, found: Sequence[GraphEndpoint]) -> list[UndeclaredTopic]:
         """The topics of the node that are no ports, of what the graph shows of it."""

@@ -26,6 +26,7 @@ from midstride.wire.state import (
     NOT_WELCOMED,
     THIS_HOST,
     ComponentState,
+    Endpoint,
     FunctionalityState,
     GateState,
     LinkState,
@@ -77,7 +78,8 @@ class ForeignNode:
         self.settings_in: Callable[[bytes], Mapping[str, Any]] | None = None
         self.differences: list[str] = []  # in which way the graph shows another node than the declared one
         self.undeclared: list[UndeclaredTopic] = []  # its topics that are no ports
-        self.serves: list[str] = []  # its services and ROS actions that others may rely on
+        self.serves: list[Endpoint] = []  # its services and ROS actions that others may rely on
+        self.lifecycle_callers: list[str] = []  # the nodes that call its lifecycle services
         self.managed: list[str] = []  # why it must not end, as a lifecycle manager would take all of its nodes down
         self.starting: list[str] = []  # the instances of which it is not known yet whether they manage it
         self.calls: list[str] = []  # the services and ROS actions that it is a client of
@@ -196,6 +198,7 @@ class ForeignNode:
             differences=self.differences,
             undeclared=self.undeclared,
             serves=self.serves,
+            lifecycle_callers=self.lifecycle_callers,
             managed=self.managed,
             starting=self.starting,
             calls=self.calls,

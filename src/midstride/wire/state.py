@@ -32,6 +32,11 @@ class Endpoint(WireValue, frozen=True, kw_only=True):
     name: str
     serves: bool | None = None
 
+    @property
+    def words(self) -> str:
+        """The endpoint in words, such as ``ROS action /dock``."""
+        return f"{self.kind} {self.name}"
+
 
 class UndeclaredTopic(WireValue, frozen=True, kw_only=True):
     """A topic, by its full name, that a node without Midstride's API publishes on or subscribes to beside its ports.
@@ -184,7 +189,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
     ``differences``: in which way its node is not what is declared, ``undeclared``: its topics that are no ports. Only a
     node without Midstride's API can show these. The same holds for ``serves``, the services and ROS actions that end
-    with it, for ``calls``, those to which it may have sent requests and goals, and for ``unanswered``: for how long it
+    with it, for ``lifecycle_callers``, the nodes that call its lifecycle services, for ``calls``, in words, those to
+    which it may have sent requests and goals, and for ``unanswered``: for how long it
     has not answered its agent, which answers here (s). ``managed``: why it must not end, as a lifecycle manager would
     take all of its nodes down; ``starting``: the instances that have just been started, and may be such managers.
     ``looked``: the graph has been asked for these since it started.
@@ -225,7 +231,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     keeps_state: bool = False
     differences: list[str] = []
     undeclared: list[UndeclaredTopic] = []
-    serves: list[str] = []
+    serves: list[Endpoint] = []
+    lifecycle_callers: list[str] = []
     managed: list[str] = []
     starting: list[str] = []
     calls: list[str] = []

@@ -21,7 +21,7 @@ from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
 from midstride.wire.state import ComponentState, Endpoint
 
-# How the words for what a node serves begin where it is a ROS action.
+# How the words for a ROS action begin.
 ACTION: Final = "ROS action "
 
 
@@ -156,7 +156,10 @@ def what_ended(
             yield verdicts.answered_by_both(name, shared, planned=planned)
         if goes_on and actions and planned:
             yield verdicts.goals_go_on(name, actions, component.stop_times.patience)
-        if ending := [each for each in state.serves if each not in goes_on]:
+        ending = [each.words for each in state.serves if each.words not in goes_on]
+        if state.lifecycle_callers:
+            ending.append(f"its lifecycle services, which {' and '.join(state.lifecycle_callers)} calls")
+        if ending:
             yield verdicts.ends_with(name, ending, planned=planned)
         if goes_on and beside is not None and beside.name != component.name:
             yield verdicts.answered_if_offered(name, goes_on, planned=planned)
@@ -175,19 +178,16 @@ def _hands_over(state: ComponentState, old: ComponentSpec, new: ComponentSpec | 
 
 def shared_services(state: ComponentState) -> list[str]:
     """Return the services of a node (in words) that its replacement may have: all, or those without its name."""
-    return [each for each in _shared(state) if not each.startswith(ACTION)]
+    return [each.words for each in _shared(state) if each.kind == "service"]
 
 
 def shared_actions(state: ComponentState) -> list[str]:
     """Return the ROS actions of a node (in words) that its replacement may have, as its services."""
-    return [each for each in _shared(state) if each.startswith(ACTION)]
+    return [each.words for each in _shared(state) if each.kind == "ROS action"]
 
 
-def _shared(state: ComponentState) -> list[str]:
-    def is_private(served: str) -> bool:
-        return served.removeprefix(ACTION).removeprefix("service ").startswith(f"{state.node}/")
-
-    return [each for each in state.serves if state.keeps_name or not is_private(each)]
+def _shared(state: ComponentState) -> list[Endpoint]:
+    return [each for each in state.serves if state.keeps_name or not each.name.startswith(f"{state.node}/")]
 
 
 def with_goals(states: Mapping[str, LatestState], endpoints: Mapping[str, Sequence[Endpoint]]) -> set[str]:

@@ -186,10 +186,8 @@ class Graph:
         servers = named_servers(found)
         has_lifecycle = any(name == f"{node}/get_state" and _GET_STATE in types for name, types in found)
         managers = tuple(self._managers(node)) if has_lifecycle else ()
-        words = {str(server) for server in servers if not is_of_every_node(server.name, server.type, node)}
-        return Served(
-            tuple(sorted(words)), has_lifecycle, managers, tuple(sorted(self._calls(node))), frozenset(servers)
-        )
+        own = {server for server in servers if not is_of_every_node(server.name, server.type, node)}
+        return Served(tuple(sorted(own)), has_lifecycle, managers, tuple(sorted(self._calls(node))), frozenset(servers))
 
     def _calls(self, node: str) -> set[str]:
         """The services and ROS actions of other nodes that a node may call, in words."""

@@ -135,4 +135,4 @@ def _unknown(asked: AskedProcess, rmw: RmwImplementation, processes: int) -> str
 def _described(graph: Graph, node: str, own: set[str]) -> OtherNode:
     if node in own:  # the graph does not tell which of them has an endpoint
         return OtherNode(node, namesake=True)
-    return OtherNode(node, tuple(graph.published_by(node)), graph.served_by(node).names)
+    return OtherNode(node, tuple(graph.published_by(node)), tuple(map(str, graph.served_by(node).own)))
