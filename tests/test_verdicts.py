@@ -144,3 +144,10 @@ def test_a_rate_that_is_somewhat_too_low_is_named_and_no_fault() -> None:
     assert found.headline == "up, all 3 nodes run; below its rate: source.out writes 175 Hz, and guarantees 200 Hz"
     assert (found.state, verdicts.is_far_below(175.0, 200.0)) == ("up", False)
     assert verdicts.is_far_below(66.0, 200.0) and verdicts.is_far_below(None, 200.0)
+
+
+def test_what_a_killed_process_loses_is_said_whatever_its_words() -> None:
+    lost = "what it does at its end is lost"
+    assert verdicts.killed("camera", "camera had to be killed").words == f"camera had to be killed: {lost}"
+    words = f"camera: on_stop did not return within 4 s, and its child was killed (SIGKILL): {lost}"
+    assert verdicts.killed("camera", words, unfinished=True).words == words

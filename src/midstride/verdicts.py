@@ -15,7 +15,7 @@ from msgspec import Meta, structs
 
 from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec
-from midstride.model.wording import LOST_AT_END, WAS_KILLED, counted
+from midstride.model.wording import LOST_AT_END, counted
 
 Continuity: TypeAlias = Literal["kept", "not_measurable", "lost"]
 ConditionState: TypeAlias = Literal["up", "degraded", "down"]
@@ -215,12 +215,12 @@ def unanswered_outputs(instance: str, topics: Sequence[str]) -> Assessment:
     return Assessment(instance, "not_measurable", f"what was written on {listed(topics)}: {instance} has not answered")
 
 
-def killed(instance: str, words: str) -> Assessment:
-    """A process was killed at its end, so that what it does then, such as writing a file, is not done; or it has said
-    itself, in ``words``, what it has left unfinished.
+def killed(instance: str, words: str, *, unfinished: bool = False) -> Assessment:
+    """A process was killed at its end, so that what it does then, such as writing a file, is not done.
+
+    ``unfinished``: it was not, and ``words`` are what it has said itself of what it has left undone.
     """
-    lost = f": {LOST_AT_END}" if words.endswith(WAS_KILLED) else ""
-    return Assessment(instance, "not_measurable", f"{words}{lost}")
+    return Assessment(instance, "not_measurable", words if unfinished else f"{words}: {LOST_AT_END}")
 
 
 def unmeasured_exchange(

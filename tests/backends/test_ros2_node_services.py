@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from itertools import pairwise
+from types import ModuleType
+from typing import Any
 from unittest.mock import MagicMock, Mock
 
 import pytest
 
+from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import BackendError
 from midstride.foreign.services import NoAnswer
 
@@ -52,6 +56,55 @@ def test_a_noted_request_that_cannot_be_read_is_named_so(damaged: str) -> None:
     request = b"\0\1\0\0\1" if damaged == "bytes" else serialize_message(SetParameters.Request(parameters=parameters))
     with pytest.raises(BackendError, match="a request to set parameters of /camera cannot be read"):
         RosNodeServices(Mock(), "/camera").settings_in(request)
+
+
+class Container:
+    """The clients of a container's services: ``loads`` seconds after a request it has the node, and does not respond.
+
+    It goes on to list its nodes meanwhile, as one with several threads does.
+    """
+
+    def __init__(self, loads: float) -> None:
+        self.loads = loads
+        self.asked: list[float] = []
+
+    def client(self, type_: str, name: str, callback_group: Any = None) -> MagicMock:
+        client, responses = MagicMock(), list[tuple[Any, Any]]([(None, None)])
+
+        def send(_: Any) -> int:
+            now = asyncio.get_running_loop().time()
+            if name.endswith("load_node"):
+                self.asked.append(now)
+            else:
+                there = [] if now < self.asked[0] + self.loads else ["/front/talker"]
+                responses.insert(0, (Mock(request_id=Mock(sequence_number=7)), Mock(full_node_names=there)))
+            return 7
+
+        client.handle.send_request.side_effect = send
+        client.handle.take_response.side_effect = lambda _: responses.pop(0) if len(responses) > 1 else responses[0]
+        return client
+
+
+@pytest.mark.parametrize("loads", [0.5, 2.5, 9.0])
+def test_a_container_is_asked_once_to_load_a_node(loads: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where its response is late or lost, it is asked which nodes it has: twice would be two nodes of one name."""
+    from midstride.backends.ros2.manager import component_containers, container_services
+
+    interfaces: Any = ModuleType("composition_interfaces.srv")
+    interfaces.LoadNode, interfaces.ListNodes = MagicMock(), MagicMock()
+    monkeypatch.setitem(sys.modules, "composition_interfaces", ModuleType("composition_interfaces"))
+    monkeypatch.setitem(sys.modules, "composition_interfaces.srv", interfaces)
+    container = Container(loads)
+    node = Mock(create_client=container.client)
+    services = container_services.ContainerServices(node, "/box")
+    request = component_containers.LoadRequest("/box", "demo", "demo::Talker", "/front/talker")
+    loaded = services.load(request, 5.0)
+    if loads < 5.0:
+        run(loaded)
+    else:
+        with pytest.raises(BackendError, match=r"demo::Talker of package demo is not loaded: .* not answered within 5"):
+            run(loaded)
+    assert len(container.asked) == 1
 
 
 def test_the_shown_command_gives_texts_as_texts() -> None:

@@ -401,6 +401,31 @@ def test_a_request_that_takes_longer_than_its_bound_ends() -> None:
     run(scenario())
 
 
+def test_a_request_of_an_earlier_mode_ends_and_breaks_nothing() -> None:
+    """Its server has died with it; a new one is there, and the mode that relies on that has been entered again."""
+
+    async def scenario() -> None:
+        host = ServiceHost()
+        client = attached(host)
+        client.look()
+        lost = client.call_async(Trigger.Request())
+        host.time = 1.0
+        client.enter_mode()
+        client.restart()
+        second = client.call_async(Trigger.Request())
+        assert looked(client, host, 0.2 + OVERDUE) is None
+        assert looked(client, host, 0.3 + OVERDUE) is None  # the data thread has been free meanwhile
+        with pytest.raises(Unanswered, match=r"has not been answered for 2\.2 s"):
+            await lost
+        assert not second.done()
+        assert looked(client, host, 1.2 + OVERDUE) is None
+        assert (looked(client, host, 1.3 + OVERDUE) or "").startswith("client map: a request to /map has not been")
+        with pytest.raises(Unanswered):
+            await second
+
+    run(scenario())
+
+
 def test_requests_wait_until_their_server_has_been_discovered() -> None:
     async def scenario() -> None:
         host = ServiceHost()

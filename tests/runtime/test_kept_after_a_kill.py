@@ -252,6 +252,32 @@ def test_a_process_imports_once_what_takes_longer_than_its_manager_lives(later: 
     simulator.run(main())
 
 
+@EVERY
+@pytest.mark.parametrize("strategy", ["paper", "quiesce"])
+def test_state_outlasts_the_manager_where_more_is_replaced(strategy: Any, every: int, tmp_path: Path) -> None:
+    """The topic has been taken from the talker, and the listener still is as it was."""
+    specification, taken_up = stateful_talkers(tmp_path), set[str]()
+    listener = changed(specification.components["Listener"], name="NewListener")
+    specification = changed(specification, components=specification.components.set("NewListener", listener))
+    request = PlanRequest(replace=(("talker", "NewTalker"), ("listener", "NewListener")), strategy=strategy)
+
+    async def before(simulator: Simulator) -> None:
+        program: Any = simulator.processes["talker"]._program
+        program._main.__dict__["state"] = "what it has learned"
+
+    async def nothing(_: Simulator) -> None:
+        pass
+
+    async def after(manager: Manager, simulator: Simulator) -> None:
+        taken_up.add(await last_said(simulator, next(iter(manager.configuration.instances_of("listener"))).name))
+
+    def work(folder: Path, disk: MortalDisk, number: int) -> bool:
+        return killed_at(specification, folder, request, disk, number, before, nothing, after, finish=True)
+
+    at_each_request(work, tmp_path, "after", every)
+    assert taken_up and all(said.startswith("what it has learned") for said in taken_up), taken_up
+
+
 def test_state_that_waits_for_its_role_is_imported_by_a_later_start(tmp_path: Path) -> None:
     """The program cannot be started when the next manager comes up: what its predecessor has exported waits."""
     specification = stateful_talkers(tmp_path)

@@ -131,14 +131,14 @@ def test_a_program_without_the_api_is_ended_as_launch_does_and_a_relay_has_the_t
 )
 def test_what_had_to_be_killed_is_said(killed: RemainingProcess, what: str, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        said: list[tuple[str, float, str]] = []
+        said: list[tuple[str, float, str, bool]] = []
         b.launcher.on_killed = lambda *told: said.append(told)
         b.startable(CAMERA)
         await b.launcher.registered(CAMERA)
         b.backend.killed["front/camera"] = [killed]
         await b.launcher.end("front/camera")
         words = f"{what} had not ended 3 s after it was asked to, and was killed (SIGKILL)"
-        assert said == [("front/camera", 3.0, words)]
+        assert said == [("front/camera", 3.0, words, False)]
 
     bench(NOTHING, tmp_path, body)
 
@@ -147,7 +147,7 @@ def test_goals_are_known_of_what_has_crashed_and_not_of_what_has_its_name_then(t
     name = CAMERA.name
 
     async def body(b: Bench) -> None:
-        said: list[tuple[str, float, str]] = []
+        said: list[tuple[str, float, str, bool]] = []
         b.launcher.on_killed = lambda *told: said.append(told)
         b.client.listeners.append(b.launcher.on_component_event)
         b.startable(CAMERA)

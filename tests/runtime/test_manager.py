@@ -546,6 +546,9 @@ def test_processes_that_do_not_end_in_order_are_named_by_event_report_and_down(t
             killed.words == f"talker had not ended {killed.seconds:g} s after it was asked to, and was killed (SIGKILL)"
         )
         assert [event.words for event in manager.log() if event.kind == "killed"] == [killed.words]
+        assert outcome.continuity is not None and f"{killed.words}: what it does at its end is lost" in [
+            each.words for each in outcome.continuity.found
+        ]
         assert [each.instance for each in (await manager.down()).killed] == ["talker_2"]
 
     managed("talker", tmp_path, body, specification=specification)
@@ -572,7 +575,8 @@ def test_an_on_stop_that_fails_is_named_by_the_report(stop: str, words: str, tmp
     async def body(manager: Manager, _: Simulator) -> None:
         outcome = await manager.change(PlanRequest(restart=("talker",)))
         said = f"talker: {words}: what it does at its end is lost"
-        assert outcome.outcome == "done" and [each.words for each in outcome.killed] == [said]
+        assert outcome.outcome == "done"
+        assert [(each.words, each.unfinished) for each in outcome.killed] == [(said, True)]
         assert outcome.continuity is not None and outcome.continuity.headline.count("is lost") == 1
         assert said in outcome.continuity.headline
 

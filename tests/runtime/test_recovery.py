@@ -177,8 +177,8 @@ def test_what_the_end_of_a_half_done_instance_has_cost_is_said(refuses: bool, tm
         state = reported(found["talker_2"], b.configuration, keeps_state=True, parameters=parameters)
         b.client.report(structs.replace(state, declared={"gain": 1.0, "unit": "mm"}))
         b.backend.killed["talker_2"] = [RemainingProcess(None, "python3", 3.0)]
-        b.launcher.on_killed = lambda name, seconds, words: b.events.add(
-            "killed", words, instance=name, seconds=seconds
+        b.launcher.on_killed = lambda name, seconds, words, unfinished: b.events.add(
+            "killed", words, instance=name, seconds=seconds, unfinished=unfinished
         )
         if refuses:
             b.client.reply("talker", SetParametersCommand, REFUSED)

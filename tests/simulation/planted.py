@@ -287,7 +287,7 @@ def _handled_forgotten(patch: pytest.MonkeyPatch) -> None:
 def _held_dropped(patch: pytest.MonkeyPatch) -> None:
     """The new instance drops the requests that it has held."""
     opened = RequestAdmission.open
-    plant(patch, RequestAdmission, "open", lambda self, handled: opened(self, None))
+    plant(patch, RequestAdmission, "open", lambda self, handled, goals=(): opened(self, None, goals))
 
 
 def _answered_again(patch: pytest.MonkeyPatch) -> None:
@@ -303,7 +303,7 @@ def _answered_again(patch: pytest.MonkeyPatch) -> None:
 
 def _unanswered_not_ended(patch: pytest.MonkeyPatch) -> None:
     """A client that gives a request up lets its caller wait."""
-    plant(patch, ClientPort, "_end_calls", lambda self: None)
+    plant(patch, ClientPort, "_end_calls", lambda self, late=None: None)
 
 
 def _server_believed_there(patch: pytest.MonkeyPatch) -> None:

@@ -420,6 +420,8 @@ declare namespace Api {
     instance?: string;
     /** killed: how long it had to end */
     seconds?: number;
+    /** killed: whether it has ended by itself */
+    unfinished?: boolean;
     /** exited: the last of the instance's output */
     log?: string;
   }
@@ -627,12 +629,14 @@ declare namespace Api {
     executable?: string | null;
   }
 
-  /** A process whose end was cut short: it had to be killed, or its `on_stop` has failed. What it does then is lost. ``seconds``: how long it had. */
+  /** A process whose end was cut short: it had to be killed, or its `on_stop` has failed. What it does then is lost. ``seconds``: how long it had. ``unfinished``: it was not killed, and ``words`` say what it has left undone. */
   interface KilledProcess {
     instance: string;
     /** how long it had, from when it was asked to end */
     seconds: number;
     words: string;
+    /** it has ended by itself, and says what it has left undone */
+    unfinished: boolean;
   }
 
   /** A functionality of a role that ends in another mode than it began in; null: no instance serves it. */

@@ -19,7 +19,7 @@ PUBLIC = (
     "Mode NODE_NAMES NOTHING Node NodeEndpoint OF_PARAMETERS OneOf Order ParameterSection ParameterSpec "
     "ParameterValue PortRef Predicate Problem QoS ROS_PARAMETERS Reliability Remove Resource RespawnPolicy Scalar "
     "SetParameters Severity Specification StopTimes SubjectPath Swap SystemContext TIMING Upgrade ValueSet Violation "
-    "WAS_KILLED attachment_shortfall best bond_timeout broken_bond canonical canonical_type cap_violation "
+    "attachment_shortfall best bond_timeout broken_bond canonical canonical_type cap_violation "
     "capacity_violation check check_component check_node component component_names component_rules configure "
     "connector_kind consumers_of contract_reasons counted did_you_mean dotted_name errors exception_in explain "
     "extra_argument format_number fresh_name full_name handover_seconds has_bonds indefinite independent initial "

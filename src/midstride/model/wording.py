@@ -103,15 +103,13 @@ def with_log(how: str, log: str) -> str:
     return f"{how}{'' if exception is None else f': {exception}'}{'' if exception else ':'}\n{log.strip()}"
 
 
-# How what says that a process was killed ends.
-WAS_KILLED: Final = "was killed (SIGKILL)"
-# What follows from that, and from an `on_stop` that has failed.
+# What follows where a process was killed, and where its `on_stop` has failed.
 LOST_AT_END: Final = "what it does at its end is lost"
 
 
 def killed(instance: str, seconds: float) -> str:
     """``camera had not ended 3 s after it was asked to, and was killed (SIGKILL)``"""
-    return f"{instance} had not ended {seconds:g} s after it was asked to, and {WAS_KILLED}"
+    return f"{instance} had not ended {seconds:g} s after it was asked to, and was killed (SIGKILL)"
 
 
 def counted(count: int, what: str) -> str:

@@ -114,7 +114,9 @@ class Manager:
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
         self.watched = WatchedSystem(session, self._respawner, self._restorer, options.spares)
-        launcher.on_killed = lambda name, seconds, words: events.add("killed", words, instance=name, seconds=seconds)
+        launcher.on_killed = lambda name, seconds, words, unfinished: events.add(
+            "killed", words, instance=name, seconds=seconds, unfinished=unfinished
+        )
         launcher.on_ending = lambda name, others: events.add("note", f"{name} is ended; with it: {others.in_words}")
         # What each of them learns of the others.
         events.listeners += [journal.note, self._while_watching]

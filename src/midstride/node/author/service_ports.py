@@ -11,7 +11,8 @@ from __future__ import annotations
 import asyncio
 import inspect
 import itertools
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, Final, TypeAlias
@@ -299,6 +300,7 @@ class _Call:
     service: CalledService
     bounded: bool  # the bound of the client holds for it
     since: int | None = None  # steady ns; None until it was sent
+    mode: int = 0  # the number of the mode in which it was sent
     send: Callable[[], Any] | None = None
     response: Any = None  # the future that `send` has returned
 
@@ -330,6 +332,7 @@ class ClientPort(Input):
         self._host: Host | None = None
         self._calls: dict[int, _Call] = {}  # by number, in order
         self._numbers = itertools.count()
+        self._entered = 0  # how many modes have been entered
         self._seen = False
         self._there = False  # when it was looked last
         self._absent_since: int | None = None  # steady ns
@@ -369,7 +372,7 @@ class ClientPort(Input):
 
     def _sent(self, link: ClientLink, future: Any, bounded: bool = True) -> Any:
         assert self._host is not None
-        return self._awaited(link, _Call(future, link.service, bounded, self._host.steady()))
+        return self._awaited(link, _Call(future, link.service, bounded, self._host.steady(), self._entered))
 
     def _awaited(self, link: ClientLink, call: _Call) -> Any:
         """Note ``call``, and return its future."""
@@ -392,7 +395,7 @@ class ClientPort(Input):
         """Send, in order, what has waited for the server to be discovered. On the data thread."""
         for call in list(self._calls.values()):
             if call.send is not None:
-                call.response, call.send, call.since = call.send(), None, host.steady()
+                call.response, call.send, call.since, call.mode = call.send(), None, host.steady(), self._entered
                 call.response.add_done_callback(call.pass_on)
 
     @property
@@ -413,8 +416,12 @@ class ClientPort(Input):
         self._host, self._seen, self._there = host, False, False
         self.restart()
 
+    def enter_mode(self) -> None:
+        """Note that a mode has been entered: a request that was sent before says nothing about it. Data thread."""
+        self._entered += 1
+
     def restart(self) -> None:
-        """A mode has been entered: what was wrong before does not count."""
+        """A mode has been entered: what was wrong before does not count. Control thread."""
         self._absent_since = self.gone = None
 
     def pardon(self) -> None:
@@ -427,14 +434,19 @@ class ClientPort(Input):
         """Look whether its server is there and answers. Control thread."""
         if (host := self._host) is None or not self.links:
             return
-        self.gone = self._why_gone(host)
+        now = host.steady()
+        self.gone = self._why_absent(now)
+        late = {} if self.gone is not None else self._late(host, now)
+        if counts := [call for call in late.values() if call.mode == self._entered]:
+            self.gone = self._why_late(counts[0], now)
         if self.gone is not None and self._calls:
             host.on_data(self._end_calls)
+        elif late:  # they were sent in an earlier mode
+            host.on_data(partial(self._end_calls, {number: self._why_late(call, now) for number, call in late.items()}))
         elif self._there and self._waits:
             host.on_data(partial(self._send_waiting, host))
 
-    def _why_gone(self, host: Host) -> str | None:
-        now = host.steady()
+    def _why_absent(self, now: int) -> str | None:
         names = ", ".join(link.topic for link in self.links)
         self._there = self.ready
         if self._there:
@@ -444,27 +456,41 @@ class ClientPort(Input):
         absent = 0.0 if self._absent_since is None else (now - self._absent_since) / 1e9
         if absent > (ABSENT if self._seen else NEVER_SEEN):
             return f"client {self.name}: {names} has had no server for {absent:.2g} s"
-        sent = (call.since for call in list(self._calls.values()) if call.bounded and call.since is not None)
-        oldest = next(sent, now)
-        waited = (now - max(oldest, self._counted_from)) / 1e9
-        if self.within is None or waited <= self.within + OVERDUE:
+        return None
+
+    def _late(self, host: Host, now: int) -> dict[int, _Call]:
+        """Return the requests, by number, that have waited for too long, unless a response waits for the thread."""
+        limit = math.inf if self.within is None else self.within + OVERDUE
+        calls = list(self._calls.items())
+        late = {number: call for number, call in calls if call.bounded and self._waited(call, now) > limit}
+        if not late:
             self._probe = None
-            return None
+            return {}
         if self._probe is None:
             self._probe = asyncio.ensure_future(host.on_data(lambda: None))
-        if not self._probe.done():
-            return None
+        return late if self._probe.done() else {}
+
+    def _waited(self, call: _Call, now: int) -> float:
+        """For how long (s) ``call`` has waited for its response, since it was sent."""
+        return 0.0 if call.since is None else (now - max(call.since, self._counted_from)) / 1e9
+
+    def _why_late(self, call: _Call, now: int) -> str:
+        assert self.within is not None
+        names = ", ".join(link.topic for link in self.links)
         bound = f"a response within {format_number(self.within)} s is assumed"
-        return f"client {self.name}: a request to {names} has not been answered for {waited:.2g} s ({bound})"
+        waited = f"{self._waited(call, now):.2g} s"
+        return f"client {self.name}: a request to {names} has not been answered for {waited} ({bound})"
 
     def remove(self, link: InputLink) -> None:
         self._end_calls()
         super().remove(link)
 
-    def _end_calls(self) -> None:
-        calls, self._calls = self._calls, {}
-        for call in calls.values():
-            call.abandon(Unanswered(self.gone or f"client {self.name} was detached"))
+    def _end_calls(self, late: Mapping[int, str] | None = None) -> None:
+        """End all requests, or those that are ``late``, by number, with the words why. Data thread."""
+        why = self.gone or f"client {self.name} was detached"
+        for number, words in (dict.fromkeys(self._calls, why) if late is None else late).items():
+            if (call := self._calls.pop(number, None)) is not None:
+                call.abandon(Unanswered(words))
 
     def states(self) -> dict[str, LinkState]:
         return {link.topic: LinkState(gate=None, count=0) for link in self.links}

@@ -16,7 +16,7 @@ from midstride.errors import Unanswered
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import DeclaredMode, Function
 from midstride.node.author.ports import Driven, Input, OutputOwner
-from midstride.node.author.service_ports import ServerPort
+from midstride.node.author.service_ports import ClientPort, ServerPort
 from midstride.node.component_host import Host
 from midstride.node.data.trigger import OnRate, Trigger, trigger_of
 from midstride.node.legible import legible
@@ -152,6 +152,9 @@ class FunctionalityRunner(OutputOwner):
         self.reflex = reflex
         self.falling = None
         self.entered += 1
+        for port in self.inputs:
+            if isinstance(port, ClientPort):
+                port.enter_mode()
         self._promise()
 
     def _promise(self) -> None:

@@ -88,7 +88,8 @@ def reported(
     for swap in outcome.swaps:
         counts = {name: getattr(swap, name) for name in ("missed", "lost", "duplicates")}
         found.append(verdicts.received(swap.topic, swap.subscriber, counts, swap.gap))
-    return [*found, *(verdicts.killed(each.instance, each.words) for each in outcome.killed)]
+    killed = (verdicts.killed(each.instance, each.words, unfinished=each.unfinished) for each in outcome.killed)
+    return [*found, *killed]
 
 
 def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[verdicts.Assessment]:

@@ -104,9 +104,9 @@ class Launcher:
         self._unfinished: dict[str, str] = {}  # in which way the `on_stop` of those that end has failed
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
-        # Called with an instance whose end was cut short (a process had to be killed, or its `on_stop` has failed), the
-        # seconds that it had, and words.
-        self.on_killed: Callable[[str, float, str], object] | None = None
+        # Called with an instance whose end was cut short, the seconds that it had, words, and in which way: False if a
+        # process had to be killed, True if it has ended by itself and left something undone, as where `on_stop` fails.
+        self.on_killed: Callable[[str, float, str, bool], object] | None = None
         # Called with an instance that is about to be ended, and the other nodes that end with it.
         self.on_ending: Callable[[str, OtherNodes], object] | None = None
         # By instance that was ended since this was cleared last: which nodes ended with it.
@@ -476,11 +476,11 @@ class Launcher:
         self._components.pop(name, None)
         asked, unfinished = self._asked.pop(name, 0.0), self._forget_process(name)
         if unfinished is not None and not killed and self.on_killed is not None:
-            self.on_killed(name, asked, f"{name}: {unfinished}")
+            self.on_killed(name, asked, f"{name}: {unfinished}", True)
         for process in killed:
             words = killed_in_words(name, None if handle is None else handle.pid, process)
             if self.on_killed is not None:
-                self.on_killed(name, process.seconds, words)
+                self.on_killed(name, process.seconds, words, False)
 
     def _note_others(self, name: str) -> None:
         """Ask once more which nodes end with it: others may have been loaded into its process a moment ago."""

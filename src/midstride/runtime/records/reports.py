@@ -53,12 +53,13 @@ class UpReport(Report, frozen=True):
 class KilledProcess(Report, frozen=True, kw_only=True):
     """A process whose end was cut short: it had to be killed, or its `on_stop` has failed. What it does then is lost.
 
-    ``seconds``: how long it had.
+    ``seconds``: how long it had. ``unfinished``: it was not killed, and ``words`` say what it has left undone.
     """
 
     instance: str
     seconds: Annotated[float, Meta(description="how long it had, from when it was asked to end")]
     words: str
+    unfinished: Annotated[bool, Meta(description="it has ended by itself, and says what it has left undone")] = False
 
 
 class DownReport(Report, frozen=True):
@@ -186,7 +187,9 @@ class LiveConfiguration(Report, frozen=True):
 def killed_processes(events: Iterable[Event]) -> list[KilledProcess]:
     """The processes that were killed, by the events of a change or of the end of a system."""
     return [
-        KilledProcess(instance=event.instance, seconds=event.seconds, words=event.words)
+        KilledProcess(
+            instance=event.instance, seconds=event.seconds, words=event.words, unfinished=event.unfinished is True
+        )
         for event in events
         if event.kind == "killed" and event.instance is not UNSET and event.seconds is not UNSET
     ]
@@ -211,4 +214,5 @@ class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
     functionality: Annotated[str | UnsetType, Meta(description="degraded: which functionality")] = UNSET
     instance: Annotated[str | UnsetType, Meta(description="fenced, killed: which instance")] = UNSET
     seconds: Annotated[float | UnsetType, Meta(description="killed: how long it had to end")] = UNSET
+    unfinished: Annotated[bool | UnsetType, Meta(description="killed: whether it has ended by itself")] = UNSET
     log: Annotated[str | UnsetType, Meta(description="exited: the last of the instance's output")] = UNSET

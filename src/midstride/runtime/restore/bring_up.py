@@ -159,12 +159,12 @@ class BringUp:
         """The plan for ``change``.
 
         An interrupted change may have taken the topics from what it was to replace, which holds state still: a
-        replacement beside that would start with its own, so it is removed first. Raises PlanRefused.
+        replacement beside that would start with its own, so it is removed first. Then so is all that is replaced;
+        unless no such plan is possible. Raises PlanRefused.
         """
         plan = planner("minimal")(change)
         left = left_behind(change, [step.action for step in plan.steps])
-        keeping = (old for old, new in change.replaced.items() if new in left and keeps_state(self.client, old))
-        if left.keys() == set(change.replaced.values()) and any(keeping):
+        if any(new in left and keeps_state(self.client, old) for old, new in change.replaced.items()):
             with suppress(PlanRefused):
                 return planner("paper")(change)
         return plan

@@ -87,7 +87,10 @@ class HalfDone:
             ),
             *(verdicts.managed_end(name, reasons) for reasons in [state.managed] if reasons),
             *self._others(name),
-            *(verdicts.killed(each.instance, each.words) for each in killed_processes(self.events.since(before))),
+            *(
+                verdicts.killed(each.instance, each.words, unfinished=each.unfinished)
+                for each in killed_processes(self.events.since(before))
+            ),
         ]
         fates = [] if values is None else values.fates()
         rest = None if other is None else other.name

@@ -17,20 +17,30 @@ _LOAD: Final = "_container/load_node"
 _LIST: Final = "_container/list_nodes"
 
 
+class _Listed(Exception):
+    """The container has the node, and its response to the request has not arrived."""
+
+
 class ContainerServices(RosNodeServices):
     """The services of the container with the full name ``name``, called from the manager's loop without a thread."""
 
     async def load(self, request: LoadRequest, timeout: float) -> None:
-        """Have the node loaded within ``timeout`` (s). Raises BackendError: why it is not."""
+        """Have the node loaded within ``timeout`` (s). Raises BackendError: why it is not.
+
+        It is asked once: a container that handles several requests at a time, and is busy with this one, would have the
+        node twice. Where no response comes, it is asked which nodes it has.
+        """
         from composition_interfaces.srv import ListNodes, LoadNode
 
-        async def lost() -> bool:
-            """Not if it is busy with the request: it answers them one after the other."""
+        async def listed() -> bool:
+            """Raises _Listed once it has the node; the request is never taken for lost."""
             try:
-                listed = await self._call(ListNodes, _LIST, AGAIN)
+                found = await self._call(ListNodes, _LIST, AGAIN)
             except NoAnswer:
                 return False
-            return request.node not in listed.full_node_names
+            if request.node in found.full_node_names:
+                raise _Listed
+            return False
 
         name, namespace = split_name(request.node)
         message = LoadNode.Request(
@@ -44,7 +54,9 @@ class ContainerServices(RosNodeServices):
         )
         what = f"{request.plugin} of package {request.package}"
         try:
-            response = await self._call(LoadNode, _LOAD, timeout, message, lost)
+            response = await self._call(LoadNode, _LOAD, timeout, message, listed)
+        except _Listed:
+            return
         except NoAnswer as error:
             late = f"if it takes longer, state `takes {2 * timeout:g} s` after its `run` command"
             raise BackendError(f"{what} is not loaded: {error}; {late}") from None
