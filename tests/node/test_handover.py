@@ -97,6 +97,27 @@ def test_as_many_readers_as_before_are_not_the_same_readers(tmp_path: Path, monk
     in_lab(tmp_path, main)
 
 
+def test_what_a_mode_with_a_rate_has_written_is_not_repeated_by_one_that_writes_nothing(tmp_path: Path) -> None:
+    """Its old side has exited, and it has fallen to a mode that seems to have written once: the slot is not its."""
+
+    async def main(lab: Lab, _: Simulator) -> None:
+        await lab.start("sink", puppets.sink())
+        await lab.attach("sink", "in", TOPIC)
+        await lab.start("node", puppets.talker())
+        await lab.attach("node", "out", TOPIC, peers=1, gate="closed")
+        await lab.mode("node", "talk", "normal")
+        await lab.sleep(0.5)
+        assert (await lab.port("node", "out", TOPIC))["gated"] > 3
+        await lab.mode("node", "talk", "degraded")
+        await lab.change("node", "gate", port="out", topic=TOPIC, gate="open", latch=True)
+        await lab.sleep(0.5)
+        link = await lab.port("node", "out", TOPIC)
+        assert (link["gate"], link["count"]) == ("open", 0)
+        assert (await lab.exported("sink"))["received"] == {}
+
+    in_lab(tmp_path, main)
+
+
 @pytest.mark.parametrize(("mode", "seconds", "failed"), [({}, 0.2, False), ({"raise": "oh", "at_call": 2}, 0.1, True)])
 def test_a_new_publisher_is_called_a_few_times_behind_its_gate_unless_it_fails(
     mode: dict[str, Any], seconds: float, failed: bool, tmp_path: Path

@@ -418,8 +418,8 @@ def test_a_request_of_an_earlier_mode_ends_and_breaks_nothing() -> None:
         with pytest.raises(Unanswered, match=r"has not been answered for 2\.2 s"):
             await lost
         assert not second.done()
-        assert looked(client, host, 1.2 + OVERDUE) is None
-        assert (looked(client, host, 1.3 + OVERDUE) or "").startswith("client map: a request to /map has not been")
+        assert looked(client, host, 1.1 + OVERDUE) is None
+        assert (looked(client, host, 1.2 + OVERDUE) or "").startswith("client map: a request to /map has not been")
         with pytest.raises(Unanswered):
             await second
 

@@ -336,6 +336,15 @@ class Output(_Port[OutputLink]):
         if links and self.fields.active:
             self.fields.sample(message, now)
 
+    def forget_kept(self) -> None:
+        """Note that a mode is left that writes again and again: its last message is repeated to no one, unless latched.
+
+        What a program outside writes is of no mode.
+        """
+        if not (self.latched or self.relayed):
+            for kept in (self.kept, *(link.kept for link in self.links)):
+                kept.clear()
+
     def keep(self, message: Any, kept: deque[Any]) -> None:
         """Add ``message`` to those that are ``kept`` for late joiners. Where there is a rate, the newest is enough."""
         if self.rate is not None:

@@ -144,6 +144,9 @@ class FunctionalityRunner(OutputOwner):
         """
         commanded = not failed and not reflex
         self.conditional = conditional or (commanded and self.conditional and index > 0)
+        if self.driven != "none":
+            for output in self.outputs:
+                output.forget_kept()
         self.index = index
         self.because = because
         self.since = self._steady()
