@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from midstride.node.author.ports import OutputLink
+from midstride.model.contract import QoS
+from midstride.node.author.ports import Output, OutputLink
+from tests.node.author import String
 from tests.node.test_cut import Owner, link_of, write
 
 
@@ -28,6 +30,14 @@ def test_nothing_passes_a_fence_however_the_gate_is_set_and_it_is_not_counted_as
     write(link, "after")
     assert passing(link) == (False, True, True)
     assert (published, link.count, link.gated) == (["before", "after"], 2, 2)
+
+
+def test_what_late_joiners_get_is_what_was_written_even_if_the_author_fills_the_object_again() -> None:
+    output, message = Output("map", String, QoS(durability="transient_local", depth=2)), String(data="first")
+    for words in ("first", "second"):
+        message.data = words
+        output.write(message)
+    assert [each.data for each in output.kept] == ["first", "second"]
 
 
 def test_the_last_message_that_the_gate_has_held_back_is_written_for_late_joiners() -> None:

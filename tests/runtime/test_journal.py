@@ -217,6 +217,17 @@ def test_durations_are_estimates_of_the_same_back_end(tmp_path: Path) -> None:
     run(body)
 
 
+def test_how_long_a_step_took_is_kept_in_whole_microseconds(tmp_path: Path) -> None:
+    async def body() -> None:
+        found = journal(tmp_path)
+        await carried_out(found, seconds=0.12345678)
+        [change] = await changes(found)
+        assert [step.seconds for step in change.steps] == [0.123457, 0.123457]
+        found.close()
+
+    run(body)
+
+
 # -- bounds --------------------------------------------------------------------------------------------
 
 

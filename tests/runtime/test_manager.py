@@ -340,6 +340,17 @@ def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
     simulator.run(main())
 
 
+def test_a_manager_that_is_closed_notes_no_more_exits(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        await manager.close()
+        before = manager.log()
+        simulator.faults.kill("talker")
+        await asyncio.sleep(1)
+        assert manager.log() == before
+
+    managed("talker", tmp_path, body)
+
+
 def test_the_next_manager_ends_a_recording_that_a_killed_one_has_left(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         workspace = Workspace(tmp_path)

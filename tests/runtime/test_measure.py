@@ -444,3 +444,12 @@ def test_what_the_first_publisher_has_published_after_the_other_one_had_begun_is
     assert _overlap(sides[1:], resumed) == 0
     by_first_message = [receipts("new", 35, 45), receipts("old", 10, 60)]
     assert _overlap(by_first_message, resumed) == (0 if resumed else 1)
+
+
+def test_without_identities_and_with_a_number_missing_the_publishers_are_not_told_apart() -> None:
+    recorder = Recorder()
+    for slot in range(20):
+        recorder.write("a", slot)
+    recorder.rows[7] = structs.replace(recorder.rows[7], number=None)
+    found = recorder.observe(5, 15, known=False)
+    assert (found.lost, found.duplicates) == (None, None) and found.gap is not None

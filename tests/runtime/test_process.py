@@ -738,6 +738,22 @@ def test_a_killed_manager_leaves_nothing_behind(tmp_path: Path, token: str) -> N
         until(lambda: not any(map(alive, (*pids, *children.values()))))
 
 
+def test_what_remains_may_end_by_itself_before_it_is_killed(tmp_path: Path, token: str) -> None:
+    script = "trap 'echo ended; exit 0' TERM; echo up; while :; do sleep 0.01; done"
+    with subprocess.Popen(
+        ["sh", "-c", script],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, VARIABLE: token},
+        start_new_session=True,
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "up\n"
+        reaper.end_groups({}, VARIABLE, token, grace=10.0)
+        status = process.poll()
+        process.kill()
+        assert (status, process.stdout.read()) == (0, "ended\n")
+
+
 def test_closing_the_reaper_ends_what_remains(tmp_path: Path, token: str) -> None:
     async def run() -> tuple[int, int]:
         with Reaper(VARIABLE, token) as reaping:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import copy
 import itertools
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec import structs
@@ -464,6 +466,21 @@ def test_the_best_mode_is_restored_whose_inputs_are_back(left: LinkState, right:
     # What the model does not support is not judged by what is measured.
     dark = configuration.with_modes({FunctionalityRef(name, "look"): 1 for name in ("left", "right")})
     assert not any(list(lacking(dark, PILOT, index, state)) for index in range(3))
+
+
+def test_only_inputs_that_can_satisfy_an_assumption_are_looked_at_for_it() -> None:
+    """Images that flow do not make up for a scan that does not."""
+    scan = {"type": "sensor_msgs/msg/LaserScan", "rate": 20}
+    document: Any = copy.deepcopy(CAMERAS)
+    document["topics"]["/left"] = scan
+    look = {"produces": ["out"], "modes": {"normal": {"guarantees": {"out": scan}}, "off": {}}}
+    document["components"]["Lidar"] = {"outputs": ["out"], "functionalities": {"look": look}}
+    document["nodes"]["left"]["component"] = "Lidar"
+    pilot = document["components"]["Pilot"]
+    pilot["inputs"]["left"] = scan
+    pilot["functionalities"]["drive"]["modes"] = {"scan": {"assumes": [scan]}, "stop": {}}
+    configuration = initial(decode_specification(document)).with_modes({PILOT: 1})
+    assert list(lacking(configuration, PILOT, 0, reported(SLOW, GOOD))) == ["left"]
 
 
 def test_a_client_whose_server_breaks_its_bound_is_not_restored() -> None:

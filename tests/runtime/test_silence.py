@@ -77,6 +77,8 @@ def test_an_input_that_receives_none_of_what_is_published_is_a_fault_until_it_do
         assert r.kinds() == []  # published for 3 s, but the reports of the two are up to half a second apart
         await r.half_seconds(2, listener=0)
         assert r.kinds() == [("not_receiving", "listener.in")]
+        [fault] = r.monitor.faults(r.b.configuration)
+        assert fault.seconds == pytest.approx(4.0), "since the report of the first message that it has not received"
         await r.half_seconds(2, listener=0)
         assert r.b.words("silence") == ["listener.in receives nothing of what is published on /chatter"]
         await r.half_seconds(3)
