@@ -51,8 +51,7 @@ PATIENCE = 1200
 COMPUTING = (
     *(f"tests/{name}" for name in "capture codec examples lang model node plan runtime simulation verify wire".split()),
     "tests/docs/test_site.py",
-    "tests/foreign/test_baton_model.py",
-    "tests/foreign/test_goals_model.py",
+    *(f"tests/foreign/test_{name}_model.py" for name in "answers baton goals requests".split()),
     "tests/server/test_openapi_conformance.py",
 )
 # What concerns a platform, every day: the back ends, and ...

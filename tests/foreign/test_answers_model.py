@@ -7,9 +7,8 @@ here is only the order of loads, locks and compare-and-swaps, as publishers.c an
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -21,8 +20,7 @@ from tests.native import baton_steps
 FLAGS = int(PortFlag.TIMED | PortFlag.OFFERS | PortFlag.KEEPS | PortFlag.ANSWERS)
 
 
-@dataclass(frozen=True)
-class Call:
+class Call(NamedTuple):
     """One thread of a process. ``at``: what it does next; ``input``: what it answers, 0 of the helper thread."""
 
     at: str = "idle"
@@ -33,8 +31,7 @@ class Call:
     knows: int = -1
 
 
-@dataclass(frozen=True)
-class Side:
+class Side(NamedTuple):
     """A node: the thread that answers, and its helper thread; what it keeps, and which of the two has its lock."""
 
     node: int
@@ -47,17 +44,16 @@ class Side:
 
     def call(self, thread: int, **changes: Any) -> Side:
         calls = list(self.calls)
-        calls[thread] = replace(calls[thread], **changes)
-        return replace(self, calls=(calls[0], calls[1]))
+        calls[thread] = calls[thread]._replace(**changes)
+        return self._replace(calls=(calls[0], calls[1]))
 
     def done(self, thread: int) -> Side:
         calls = list(self.calls)
         calls[thread] = Call()
-        return replace(self, calls=(calls[0], calls[1]), locked=None if self.locked == thread else self.locked)
+        return self._replace(calls=(calls[0], calls[1]), locked=None if self.locked == thread else self.locked)
 
 
-@dataclass(frozen=True)
-class World:
+class World(NamedTuple):
     word: int
     last: tuple[int, int]  # the input that was answered last, and by which node
     answers: tuple[int, ...]  # how often each input has been answered
@@ -66,7 +62,7 @@ class World:
 
     def with_side(self, side: Side) -> World:
         old, new = (side if each.node == side.node else each for each in self.sides)
-        return replace(self, sides=(old, new))
+        return self._replace(sides=(old, new))
 
     def canonical(self) -> World:
         """The same but for the number of the generation."""
@@ -80,14 +76,14 @@ class World:
 
         def of_call(call: Call) -> Call:
             seen, following = call.seen and renumbered(call.seen), call.next and renumbered(call.next)
-            return replace(call, seen=seen, next=following)
+            return call._replace(seen=seen, next=following)
 
         def of_side(side: Side) -> Side:
             answering, helping = map(of_call, side.calls)
-            return replace(side, calls=(answering, helping))
+            return side._replace(calls=(answering, helping))
 
         old, new = map(of_side, self.sides)
-        return replace(self, word=renumbered(self.word), sides=(old, new))
+        return self._replace(word=renumbered(self.word), sides=(old, new))
 
     @property
     def over(self) -> bool:
@@ -123,7 +119,7 @@ class Answering:
                 for thread in range(2):
                     yield from self.steps(world, side, thread)
                 if side.node in self.mortal:
-                    yield world.with_side(replace(side, alive=False))
+                    yield world.with_side(side._replace(alive=False))
         yield from self.manager_steps(world)
 
     def answered(self, world: World, side: Side, input: int) -> bool:
@@ -134,7 +130,7 @@ class Answering:
         match call.at:
             case "idle" if helper:
                 if side.kept and side.locked is None:
-                    yield world.with_side(replace(side.call(thread, at="looking"), locked=thread))
+                    yield world.with_side(side.call(thread, at="looking")._replace(locked=thread))
             case "idle":
                 if side.taken < self.inputs:
                     yield world.with_side(side.call(thread, at="answering", input=side.taken + 1))
@@ -147,7 +143,7 @@ class Answering:
                 kept = side.kept
                 while kept and self.answered(world, side, kept[0]):
                     kept = kept[1:]
-                side = replace(side, kept=kept)
+                side = side._replace(kept=kept)
                 if kept:
                     yield world.with_side(side.call(thread, at="deciding", seen=world.word))
                 else:
@@ -158,12 +154,12 @@ class Answering:
                 yield self.enter(world, side, thread)
             case "locking":
                 if side.locked is None:
-                    yield world.with_side(replace(side.call(thread, at="giving"), locked=thread))
+                    yield world.with_side(side.call(thread, at="giving")._replace(locked=thread))
             case "giving":
                 yield self.give_kept(world, side, thread)
             case "gives":
                 given = self.publish(world, side.kept[0])
-                yield given.with_side(replace(side.call(thread, at="giving"), kept=side.kept[1:]))
+                yield given.with_side(side.call(thread, at="giving")._replace(kept=side.kept[1:]))
             case "checking":
                 yield self.check(world, side, thread)
             case "publishing":
@@ -172,11 +168,11 @@ class Answering:
                 yield from self.leave(world, side, thread)
             case "keeping":
                 if side.locked is None:  # and then looks whether it may publish what is kept by now
-                    side = replace(side, kept=(*side.kept, call.input), locked=thread)
+                    side = side._replace(kept=(*side.kept, call.input), locked=thread)
                     yield world.with_side(side.call(thread, at="looking", input=0))
 
     def next_input(self, side: Side) -> Side:
-        return replace(side.done(0), taken=side.taken + 1)
+        return side.done(0)._replace(taken=side.taken + 1)
 
     def looked(self, side: Side, thread: int) -> Side:
         return self.next_input(side) if thread == 0 else side.done(thread)
@@ -194,7 +190,7 @@ class Answering:
                 dead = not any(each.alive for each in world.sides if each.node == holder)
                 yield world.with_side(side.call(thread, knows=int(dead)))
             else:
-                side_then = side if verdict == SKIP else replace(side, overdue=False)
+                side_then = side if verdict == SKIP else side._replace(overdue=False)
                 if side.locked == thread:
                     yield world.with_side(self.looked(side_then, thread))
                 else:
@@ -207,18 +203,18 @@ class Answering:
         before, after = BatonWord.of(call.seen), BatonWord.of(call.next)
         again = before.state is BatonState.OFFERED and before.holder == side.node and bool(after.successor)
         at = "giving" if side.locked == thread else "locking"
-        entered = replace(side.call(thread, at=at, again=again, seen=0, knows=-1), overdue=again)
-        return replace(world.with_side(entered), word=call.next)
+        entered = side.call(thread, at=at, again=again, seen=0, knows=-1)._replace(overdue=again)
+        return world.with_side(entered)._replace(word=call.next)
 
     def give_kept(self, world: World, side: Side, thread: int) -> World:
         """One of those that are kept, in a call that may publish."""
         if not side.kept:
             looks = not side.calls[thread].input
-            free = side if looks else replace(side, locked=None)
+            free = side if looks else side._replace(locked=None)
             at = "left" if looks else "checking"
             return world.with_side(free.call(thread, at=at, seen=world.word))
         if self.answered(world, side, side.kept[0]):
-            return world.with_side(replace(side, kept=side.kept[1:]))
+            return world.with_side(side._replace(kept=side.kept[1:]))
         return self.note(world, side, side.kept[0]).with_side(side.call(thread, at="gives"))
 
     def check(self, world: World, side: Side, thread: int) -> World:
@@ -229,19 +225,19 @@ class Answering:
         return self.note(world, side, input).with_side(side.call(thread, at="publishing"))
 
     def note(self, world: World, side: Side, input: int) -> World:
-        return replace(world, last=(max(input, world.last[0]), side.node))
+        return world._replace(last=(max(input, world.last[0]), side.node))
 
     def publish(self, world: World, input: int) -> World:
         answers = list(world.answers)
         answers[input - 1] += 1
-        return replace(world, answers=tuple(answers))
+        return world._replace(answers=tuple(answers))
 
     def leave(self, world: World, side: Side, thread: int) -> Iterator[World]:
         call = side.calls[thread]
         following = int(self.library.midstride_leave(call.seen, call.next, FLAGS, call.again))
         if following == call.seen or world.word == call.seen:
             left = world.with_side(self.looked(side, thread))
-            yield left if following == call.seen else replace(left, word=following)
+            yield left if following == call.seen else left._replace(word=following)
         else:
             yield world.with_side(side.call(thread, seen=world.word))
 
@@ -250,10 +246,10 @@ class Answering:
         if not world.manager:
             return
         word, rest = BatonWord.of(world.word), world.manager[1:]
-        yield replace(world, manager=rest)
+        yield world._replace(manager=rest)
 
         def step(step: BatonStep, node: int, successor: int = 0) -> World:
-            return replace(world, word=self.words.step(world.word, step, node, successor, True), manager=rest)
+            return world._replace(word=self.words.step(world.word, step, node, successor, True), manager=rest)
 
         match world.manager[0]:
             case "n":

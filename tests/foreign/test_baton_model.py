@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -25,8 +24,7 @@ TIMED = int(PortFlag.TIMED | PortFlag.OFFERS)
 BESIDE = 0  # an output without a rate beside one that has a rate
 
 
-@dataclass(frozen=True)
-class Writer:
+class Writer(NamedTuple):
     """One thread of a process. ``at``: what it does next; ``seen``: the word that it has loaded."""
 
     node: int
@@ -42,8 +40,7 @@ class Writer:
     gate: str = "baton"  # of a component: "closed" or "open" where it does not ask the baton
 
 
-@dataclass(frozen=True)
-class World:
+class World(NamedTuple):
     word: int
     writers: tuple[Writer, ...]
     manager: str  # the steps that are left to it
@@ -64,15 +61,15 @@ class World:
             return word & 0xFFFFFFFFFFFF | (100 - age) << 48
 
         writers = tuple(
-            replace(w, wrote=0, seen=w.seen and renumbered(w.seen), next=w.next and renumbered(w.next))
+            w._replace(wrote=0, seen=w.seen and renumbered(w.seen), next=w.next and renumbered(w.next))
             for w in self.writers
         )
         return World(renumbered(self.word), writers, self.manager)
 
     def with_writer(self, index: int, **changes: Any) -> World:
         writers = list(self.writers)
-        writers[index] = replace(writers[index], **changes)
-        return replace(self, writers=tuple(writers))
+        writers[index] = writers[index]._replace(**changes)
+        return self._replace(writers=tuple(writers))
 
 
 class Explorer:
@@ -125,14 +122,14 @@ class Explorer:
                 again = before.state is BatonState.OFFERED and before.holder == writer.node and bool(after.successor)
                 overdue = again and bool(writer.flags & PortFlag.TIMED)
                 entered = world.with_writer(index, at="publishing", again=again, overdue=overdue, seen=0, knows=-1)
-                yield replace(entered, word=writer.next)
+                yield entered._replace(word=writer.next)
         elif writer.at == "publishing":
             yield world.with_writer(index, at="leaving", seen=world.word, wrote=min(2, writer.wrote + 1))
         elif writer.at == "leaving":
             following = int(self.library.midstride_leave(writer.seen, writer.next, writer.flags, writer.again))
             if following == writer.seen or world.word == writer.seen:
                 done = world.with_writer(index, at="idle", next=0, seen=0, again=False)
-                yield done if following == writer.seen else replace(done, word=following)
+                yield done if following == writer.seen else done._replace(word=following)
             else:
                 yield world.with_writer(index, seen=world.word)
 
@@ -142,25 +139,25 @@ class Explorer:
         timed = bool(world.writers[0].flags & PortFlag.TIMED)
         if not world.manager:
             return
-        yield replace(world, manager=rest)
+        yield world._replace(manager=rest)
         match world.manager[0]:
             case "n":
-                yield replace(
-                    world, word=self.step(world.word, BatonStep.NAME_SUCCESSOR, OLD, NEW, timed), manager=rest
+                yield world._replace(
+                    word=self.step(world.word, BatonStep.NAME_SUCCESSOR, OLD, NEW, timed), manager=rest
                 )
             case "q":  # of a side on which nothing is written
-                yield replace(world, word=self.step(world.word, BatonStep.NAME_SUCCESSOR, OLD, NEW, True), manager=rest)
+                yield world._replace(word=self.step(world.word, BatonStep.NAME_SUCCESSOR, OLD, NEW, True), manager=rest)
             case "t":
-                yield replace(world, word=self.step(world.word, BatonStep.TAKE, NEW), manager=rest)
+                yield world._replace(word=self.step(world.word, BatonStep.TAKE, NEW), manager=rest)
             case "w":
-                yield replace(world, word=self.step(world.word, BatonStep.WITHDRAW, OLD), manager=rest)
+                yield world._replace(word=self.step(world.word, BatonStep.WITHDRAW, OLD), manager=rest)
             case "s":  # once the new one has been seen to have it
                 if word.holder == NEW:
-                    yield replace(world, word=self.step(world.word, BatonStep.SETTLE, NEW), manager=rest)
+                    yield world._replace(word=self.step(world.word, BatonStep.SETTLE, NEW), manager=rest)
             case "f":
-                yield replace(world, word=self.step(world.word, BatonStep.FENCE, OLD), manager=rest)
+                yield world._replace(word=self.step(world.word, BatonStep.FENCE, OLD), manager=rest)
             case "l":
-                yield replace(world, word=self.step(world.word, BatonStep.LIFT, OLD), manager=rest)
+                yield world._replace(word=self.step(world.word, BatonStep.LIFT, OLD), manager=rest)
             case "d":  # a component that has the baton asks no more
                 for index, writer in enumerate(world.writers):
                     if word.holder == writer.node == NEW and writer.at == "idle":
@@ -173,24 +170,24 @@ class Explorer:
                 fenced = self.step(world.word, BatonStep.FENCE, OLD)
                 for index, writer in enumerate(world.writers):
                     if word.holder == writer.node == OLD and writer.at == "idle":
-                        yield replace(world.with_writer(index, gate="open"), word=fenced, manager=rest)
+                        yield world.with_writer(index, gate="open")._replace(word=fenced, manager=rest)
             case "g":  # only from one that is fenced and does not publish, or that has died
                 fenced = word.state is BatonState.FENCED and not word.writers
                 if word.holder == OLD and (fenced or not world.living(OLD)):
-                    yield replace(world, word=self.step(world.word, BatonStep.GIVE, NEW), manager=rest)
+                    yield world._replace(word=self.step(world.word, BatonStep.GIVE, NEW), manager=rest)
 
     def given_back(self, world: World, rest: str) -> World:
         """The new side is a component whose gates are closed: it withdraws, or gives the baton back."""
         word = self.step(world.word, BatonStep.WITHDRAW, OLD)
         if BatonWord.of(word).holder == NEW:
             word = self.step(word, BatonStep.GIVE, OLD)
-        return replace(world, word=word, manager=rest)
+        return world._replace(word=word, manager=rest)
 
     def deaths(self, world: World, mortal: frozenset[int]) -> Iterator[World]:
         for node in mortal:
             if world.living(node):
-                writers = tuple(replace(w, alive=False) if w.node == node else w for w in world.writers)
-                yield replace(world, writers=writers)
+                writers = tuple(w._replace(alive=False) if w.node == node else w for w in world.writers)
+                yield world._replace(writers=writers)
 
     def reachable(self, start: World, mortal: frozenset[int]) -> Iterator[World]:
         found, waiting = {start.canonical()}, [start.canonical()]
@@ -204,7 +201,7 @@ class Explorer:
 
     def someone_writes(self, world: World) -> bool:
         """Whether a writer that lives publishes if all go on in turn, and nothing else happens: five rounds suffice."""
-        world = replace(world, manager="")
+        world = world._replace(manager="")
         for _ in range(5):
             for index in range(len(world.writers)):
                 for step in range(12):
@@ -270,7 +267,7 @@ def test_an_output_without_a_rate_beside_one_that_has_one(explorer: Explorer) ->
         w for w in found if BatonWord.of(w.word).state is BatonState.OFFERED and BatonWord.of(w.word).holder == OLD
     ]
     for world in offered:
-        beside = replace(world.writers[1], knows=-1)
+        beside = world.writers[1]._replace(knows=-1)
         assert explorer.enter(world.word, beside, False)[0] == PASS
 
 
@@ -323,7 +320,7 @@ def test_the_exploration_finds_a_missing_count_of_writers(explorer: Explorer) ->
             for following in super().writer_steps(world, index, writer):
                 left = writer.at == "leaving" and following.writers[index].at == "idle"
                 if left and BatonWord.of(world.word).successor and BatonWord.of(following.word).writers == 1:
-                    yield replace(following, word=following.word - 1 | BatonState.OFFERED << 8)
+                    yield following._replace(word=following.word - 1 | BatonState.OFFERED << 8)
                 yield following
 
     faulty = Faulty(explorer.library)

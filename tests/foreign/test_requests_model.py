@@ -9,9 +9,9 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 from ctypes import byref, c_uint64
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -75,8 +75,7 @@ def test_claims_are_those_of_a_set(words: Words, seed: int) -> None:
         assert word >> 48 == 0xABCD and word & 0xFFFFFFFF == highest
 
 
-@dataclass(frozen=True)
-class Node:
+class Node(NamedTuple):
     """``queue``: what the middleware has; ``took``: what its executor has taken and not judged yet, and whether it
     answers, as it has seen. ``claimed``: what it has still to answer."""
 
@@ -88,8 +87,7 @@ class Node:
     receives: bool = True
 
 
-@dataclass(frozen=True)
-class World:
+class World(NamedTuple):
     role: int
     client: int
     nodes: tuple[Node, Node]
@@ -104,8 +102,8 @@ class World:
 
     def changed(self, index: int, **changes: Any) -> World:
         nodes = list(self.nodes)
-        nodes[index - 1] = replace(nodes[index - 1], **changes)
-        return replace(self, nodes=(nodes[0], nodes[1]))
+        nodes[index - 1] = nodes[index - 1]._replace(**changes)
+        return self._replace(nodes=(nodes[0], nodes[1]))
 
 
 @dataclass(frozen=True)
@@ -124,9 +122,9 @@ class Explorer:
             old = before(word)
             if not word & BEGUN and old and world.node(old).claimed and world.node(old).alive and not over:
                 return False, world
-            return True, replace(world, role=word | BEGUN)
+            return True, world._replace(role=word | BEGUN)
         if before(word) == index and not world.node(answering(word)).alive:
-            return True, replace(world, role=self.words.take_back(word, index))
+            return True, world._replace(role=self.words.take_back(word, index))
         return False, world
 
     def claim(self, world: World, index: int, number: int) -> World:
@@ -136,13 +134,13 @@ class Explorer:
         node = world.node(index)
         done = [*world.answered, *world.lost, *(each for other in world.nodes for each in other.claimed)]
         assert number not in done, f"request {number} is claimed twice"
-        return replace(world, client=after).changed(index, claimed=(*node.claimed, number))
+        return world._replace(client=after).changed(index, claimed=(*node.claimed, number))
 
     def following(self, world: World) -> Iterator[World]:
         if world.sent < self.most:
             number = world.sent + 1
             receivers = [index for index in (OLD, NEW) if world.node(index).receives and world.node(index).alive]
-            after = replace(world, sent=number)
+            after = world._replace(sent=number)
             for index in receivers:
                 after = after.changed(index, queue=(*after.node(index).queue, number))
             yield after
@@ -152,7 +150,7 @@ class Explorer:
             node = self.manager[world.given]
             lives = world.node(answering(world.role)).alive
             if world.node(node).alive:
-                yield replace(world, role=self.words.give(world.role, node, lives), given=world.given + 1)
+                yield world._replace(role=self.words.give(world.role, node, lives), given=world.given + 1)
         for index in (OLD, NEW):
             if world.node(index).alive:
                 yield from self._of_node(world, index)
@@ -160,7 +158,7 @@ class Explorer:
     def _of_node(self, world: World, index: int) -> Iterator[World]:
         node = world.node(index)
         if node.claimed:
-            yield replace(world, answered=(*world.answered, node.claimed[0])).changed(index, claimed=node.claimed[1:])
+            yield world._replace(answered=(*world.answered, node.claimed[0])).changed(index, claimed=node.claimed[1:])
         for over in (False, True):
             own, seen = self.answers(world, index, over)
             if node.took is None and node.queue:
@@ -171,7 +169,7 @@ class Explorer:
             number, own = node.took
             judged = world.changed(index, took=None)
             if index == NEW and not world.seen:
-                judged = replace(judged, seen=number)
+                judged = judged._replace(seen=number)
             if own:
                 yield self.claim(judged, index, number)
             else:
@@ -179,7 +177,7 @@ class Explorer:
         if index == before(world.role) and node.held and not 0 < world.seen <= node.held[0]:
             yield self.claim(world, index, node.held[0]).changed(index, held=node.held[1:])
         if self.deaths:
-            dead = replace(world, lost=(*world.lost, *node.claimed))
+            dead = world._replace(lost=(*world.lost, *node.claimed))
             yield dead.changed(index, alive=False, queue=(), took=None, held=(), claimed=())
 
 
@@ -198,7 +196,7 @@ def explored(explorer: Explorer, receives: bool) -> int:
         ]:  # only deaths are left
             judge(explorer, world)
         for each in after:
-            each = replace(each, role=each.role & 0xFFFFFFFF, answered=tuple(sorted(each.answered)))
+            each = each._replace(role=each.role & 0xFFFFFFFF, answered=tuple(sorted(each.answered)))
             if each not in known:
                 known.add(each)
                 waiting.append(each)
