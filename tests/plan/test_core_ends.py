@@ -139,9 +139,10 @@ def check_way(part: Part, losses: PartLosses, moves: tuple[int, ...], cost: floa
 @pytest.mark.parametrize(
     ("family", "seeds"),
     [
-        ("two resources", 120),
+        ("two resources", 40),
+        pytest.param("two resources", 120, marks=pytest.mark.full),
         ("exclusive topics", 60),
-        ("conflict cores", 8),
+        ("conflict cores", 5),
         ("shared topics", 30),
         pytest.param("conflict cores", 30, marks=pytest.mark.full),
     ],

@@ -69,7 +69,11 @@ def test_a_plan_along_the_core_loses_what_the_core_does(
 
 @pytest.mark.parametrize(
     ("family", "replaced", "figures"),
-    [("tight", 3, (40, 202.25, 30, 621)), ("exclusive", 4, (40, 227.75, 29, 677)), ("shared", 3, (40, 135.6, 23, 447))],
+    [
+        ("tight", 3, (40, 202.25, 30, 621)),
+        pytest.param("exclusive", 4, (40, 227.75, 29, 677), marks=pytest.mark.full),
+        ("shared", 3, (40, 135.6, 23, 447)),
+    ],
 )
 def test_the_search_by_moves_alone_finds_plans_that_lose_little(
     family: str, replaced: int, figures: tuple[int, float, int, int]

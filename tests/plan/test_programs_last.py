@@ -68,9 +68,10 @@ def test_plans_are_sound_and_programs_are_last_and_lose_nothing(strategy: str, s
     assert met > len(seeds) / 4
 
 
-def test_the_exhaustive_twin_finds_the_same_least_disruption() -> None:
+@pytest.mark.parametrize("seeds", [range(15), pytest.param(range(15, 40), marks=pytest.mark.full)], ids=str)
+def test_the_exhaustive_twin_finds_the_same_least_disruption(seeds: range) -> None:
     compared = 0
-    for seed, change, _ in changes(range(40)):
+    for seed, change, _ in changes(seeds):
         try:
             least = Constrained(change, MOST).optimum()
         except TooLarge:
@@ -82,7 +83,7 @@ def test_the_exhaustive_twin_finds_the_same_least_disruption() -> None:
             continue
         assert plan.disruption == pytest.approx(least), f"seed {seed}"
         compared += bool(programs(plan))
-    assert compared > 3
+    assert compared > 1
 
 
 @FEW_AND_MANY

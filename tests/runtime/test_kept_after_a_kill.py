@@ -88,6 +88,7 @@ def at_each_request(work: Callable[[Path, MortalDisk, int], bool], folder: Path,
 EVERY = pytest.mark.parametrize(
     "every", [pytest.param(7, marks=pytest.mark.full), pytest.param(1, marks=pytest.mark.long)]
 )
+FEW = pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.full)])
 WHEN = pytest.mark.parametrize("when", ["before", "after"])
 
 
@@ -123,8 +124,9 @@ def test_what_is_set_between_two_managers_is_kept(
     assert all("lost: what was set" not in words for words in carried)
 
 
+@FEW
 @pytest.mark.parametrize("back", [False, True], ids=["another value", "the declared value"])
-def test_the_later_of_two_values_counts(back: bool, tmp_path: Path) -> None:
+def test_the_later_of_two_values_counts(back: bool, every: int, tmp_path: Path) -> None:
     """Both have got one since values were last carried over; the one that goes on has taken over: its own is later."""
 
     specification, ended = tuned(tmp_path), list[str]()
@@ -150,14 +152,15 @@ def test_the_later_of_two_values_counts(back: bool, tmp_path: Path) -> None:
     def work(folder: Path, disk: MortalDisk, number: int) -> bool:
         return killed_at(specification, folder, RESTART, disk, number, before, meanwhile, after)
 
-    at_each_request(work, tmp_path, "after", 1)
+    at_each_request(work, tmp_path, "after", every)
     assert ended
     for words in ended:
         assert "talker: label = 'only here', set at run time: kept; " in words
         assert "; lost: what was set on talker while it ran: gain = 1.9" in words
 
 
-def test_what_the_one_that_stays_refuses_is_said(tmp_path: Path) -> None:
+@FEW
+def test_what_the_one_that_stays_refuses_is_said(every: int, tmp_path: Path) -> None:
     specification, said = tuned(tmp_path, source(2.5, limit=10)), list[str]()
 
     async def before(simulator: Simulator) -> None:
@@ -174,7 +177,7 @@ def test_what_the_one_that_stays_refuses_is_said(tmp_path: Path) -> None:
     def work(folder: Path, disk: MortalDisk, number: int) -> bool:
         return killed_at(specification, folder, REPLACE, disk, number, before, meanwhile, after, finish=True)
 
-    at_each_request(work, tmp_path, "after", 1)
+    at_each_request(work, tmp_path, "after", every)
     assert said
     for words in said:
         assert "gain = 50.0, set at run time: too late, after the hand-over: " in words and "from 0 to 10" in words

@@ -15,7 +15,7 @@ from midstride.simulation.campaign import Summary, simulate_many
 from midstride.simulation.scenario import rehearsed
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-SEEDS = 40
+SEEDS = 20
 
 
 def system() -> Specification:
@@ -36,7 +36,7 @@ def system() -> Specification:
     ],
     ids=["restart", "replace", "remove"],
 )
-@pytest.mark.parametrize("first", [0, *(pytest.param(first, marks=pytest.mark.full) for first in (40, 80, 120))])
+@pytest.mark.parametrize("first", [0, *(pytest.param(first, marks=pytest.mark.full) for first in range(20, 160, 20))])
 def test_no_seed_violates_an_invariant(first: int, request_: PlanRequest) -> None:
     summary = Summary()
     for run in simulate_many(range(first, first + SEEDS), rehearsed(system(), request_)):
