@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import gc
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, Final
 
-from midstride.node.data.mode_switch import within
+import pytest
+
+from midstride.backends.simulator.virtual_loop import run
+from midstride.errors import CommandRefused
+from midstride.node.data.mode_switch import DataExecutor, within
+from tests.node.virtual import T, VirtualHost
 
 HOST: Final[Any] = SimpleNamespace(sleep=asyncio.sleep)
 
@@ -50,3 +56,23 @@ def test_what_fails_after_it_is_no_longer_awaited_is_not_logged_as_an_error_that
         assert logged == []
 
     asyncio.run(main())
+
+
+class SlowHost(VirtualHost):
+    """The data thread comes to its work at once, and is done with it after 1.5 s."""
+
+    async def on_data(self, function: Callable[[], T]) -> T:
+        found = function()
+        await self.sleep(1.5)
+        return found
+
+
+def test_work_of_the_data_thread_that_has_begun_in_time_has_as_long_again_to_end() -> None:
+    data = DataExecutor(SlowHost().host, lambda: "")
+
+    async def main() -> None:
+        assert await data.run(lambda: "done", 1.0) == "done"
+        with pytest.raises(CommandRefused, match=r"^it has started, but did not end within another 0\.5 s$"):
+            await data.run(lambda: "done", 0.5)
+
+    run(main())

@@ -28,6 +28,7 @@ from midstride.runtime.instance_life import (
     ProcessEvent,
     ProcessState,
 )
+from midstride.runtime.records.reports import FencedInstance
 from midstride.transitions import POLICY, ForbiddenTransition, Transitions
 from tests.runtime.scripted import TALKER, instance, reported, talking
 
@@ -243,3 +244,14 @@ def test_the_documented_table_is_that_of_the_code(heading: str, states: Transiti
         for event, following in row.items()
     }
     assert documented(heading) == written
+
+
+def test_the_next_change_may_fence_again_what_the_one_before_has_fenced() -> None:
+    life, fenced = after(ProcessEvent.STARTED), FencedInstance(instance="talker", how="killed", because="", words="")
+    life.fence(fenced, [])
+    with pytest.raises(ForbiddenTransition):
+        life.fence(fenced, [])
+    life.begin_change()
+    assert life.fenced == {}
+    life.fence(fenced, [])
+    assert life.fenced == {"talker": fenced}

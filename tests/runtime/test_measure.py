@@ -453,3 +453,10 @@ def test_without_identities_and_with_a_number_missing_the_publishers_are_not_tol
     recorder.rows[7] = structs.replace(recorder.rows[7], number=None)
     found = recorder.observe(5, 15, known=False)
     assert (found.lost, found.duplicates) == (None, None) and found.gap is not None
+
+
+def test_an_answer_whose_time_of_publication_is_unknown_is_no_answer_to_any_input() -> None:
+    inputs = [slot * PERIOD for slot in range(20)]
+    rows = [Receipt(at + SKEW, None if at == inputs[9] else at + MS, 1 + at // PERIOD, "old") for at in inputs]
+    seen = Observation("/t", "sink.in", rows, SKEW, inputs[-1] + SKEW, 0.02, None, None, inputs=inputs)
+    assert report(seen).missed == 1

@@ -787,6 +787,21 @@ def test_the_reaper_spares_a_later_process_of_the_same_number(tmp_path: Path, to
     assert asyncio.run(run())
 
 
+def test_the_mark_of_a_process_is_read_once_and_known_from_then_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    leader, far = (reaper.ProcessInfo(-pid, -pid, started=float(pid), alive=True) for pid in (1, 2))
+    asked: list[int] = []
+
+    def mark_of(pid: int) -> str:
+        asked.append(pid)
+        return "start"
+
+    monkeypatch.setattr(families, "mark_of", mark_of)
+    for _ in range(2):
+        assert families.members(leader, "start", {}, [leader, far]).keys() == {-1, -2}
+    assert asked == [-2]
+    families.members(leader, None, {}, [leader])  # which forgets what has ended
+
+
 def test_of_orphans_a_group_ends_with_its_leader_and_those_without_one_each() -> None:
     def orphan(pid: int, group: int) -> reaper.ProcessInfo:
         return reaper.ProcessInfo(pid, group, started=1.0, alive=True)

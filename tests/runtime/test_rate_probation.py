@@ -107,6 +107,13 @@ def test_what_is_slow_or_comes_in_bursts_or_stalls_is_refused(before: str, tmp_p
     assert outcome.seconds < 8
 
 
+def test_a_rate_is_asked_for_also_where_the_specification_does_not_say_for_how_long(tmp_path: Path) -> None:
+    outcome, _, instances, _ = changed(tmp_path, program(SLOW), {})
+    assert outcome.outcome == "rolled_back"
+    assert "does not keep the 20 Hz that its mode guarantees" in str(outcome.because)
+    assert instances == ["counter", "sink"]
+
+
 @pytest.mark.parametrize(
     ("before", "because"),
     [
