@@ -1,10 +1,15 @@
-"""wheel_contents.py WHEEL: fails unless the wheel holds the package and the examples, and nothing else."""
+"""wheel_contents.py WHEEL MACHINE…: fails unless the wheel holds the package and the examples, and nothing else.
+
+For each MACHINE it has the library of the gate, made from the sources as they are here: its name has their hash.
+"""
 
 from __future__ import annotations
 
 import sys
 import zipfile
 from pathlib import Path
+
+from midstride.foreign import build
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = {"src/midstride": "midstride", "examples": "midstride/examples"}
@@ -20,10 +25,15 @@ def expected() -> set[str]:
     }
 
 
-def main(wheel: str) -> int:
+def prebuilt(machine: str) -> str:
+    """The name of the library of the gate for a machine, in the wheel."""
+    return f"midstride/{build.prebuilt_path(machine).relative_to(ROOT / 'src' / 'midstride').as_posix()}"
+
+
+def main(wheel: str, *machines: str) -> int:
     with zipfile.ZipFile(wheel) as archive:
         found = {name for name in archive.namelist() if ".dist-info/" not in name}
-    wanted = expected()
+    wanted = expected() | {prebuilt(machine) for machine in machines}
     for name in sorted(wanted - found):
         print(f"wheel: {name} is missing in {Path(wheel).name}", file=sys.stderr)
     for name in sorted(found - wanted):
@@ -32,4 +42,4 @@ def main(wheel: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(*sys.argv[1:]))

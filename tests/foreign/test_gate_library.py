@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import platform
+import re
 import signal
 import struct
 import subprocess
@@ -344,9 +346,40 @@ def test_the_gate_library_is_compiled_once(tmp_path: Path) -> None:
     assert build.library({"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path), "PATH": ""}) == first
 
 
+NO_COMPILER = r"there is no C compiler on the PATH to make it: install one .*, or write `gate relay`, which needs none"
+
+
 def test_without_a_compiler_it_says_what_to_do(tmp_path: Path) -> None:
-    with pytest.raises(StartFailed, match=r"there is none on the PATH: .*, or write `gate relay`, which needs none"):
+    with pytest.raises(StartFailed, match=rf"\(the package has none for {platform.machine()}\), and {NO_COMPILER}"):
         build.library({"XDG_CACHE_HOME": str(tmp_path), "PATH": str(tmp_path)})
+
+
+def test_the_prebuilt_library_is_used_where_it_can_be_loaded(
+    tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build, "PREBUILT", tmp_path / "prebuilt")
+    here = {"XDG_CACHE_HOME": str(tmp_path), "PATH": os.environ["PATH"]}
+    nowhere = {"XDG_CACHE_HOME": str(tmp_path / "none"), "PATH": str(tmp_path)}
+    path = build.prebuilt_path()
+    assert path.name == gate_library.name, "its name has the hash of the sources"
+    path.parent.mkdir()
+    path.with_name(f"gate-0000000000000000-{platform.machine()}.so").write_bytes(gate_library.read_bytes())
+    assert not build.is_available(nowhere), "that is of other sources"
+    path.write_bytes(gate_library.read_bytes())
+    assert build.library(nowhere) == build.library(here) == path and build.is_available(nowhere)
+    assert build.origin(nowhere) == f"the prebuilt one of the package, {path}"
+
+    monkeypatch.setattr(build, "PREBUILT", tmp_path / "unfit")
+    unfit = build.prebuilt_path()
+    unfit.parent.mkdir()
+    unfit.write_bytes(gate_library.read_bytes().replace(b"GLIBC_2.34", b"GLIBC_9.99"))  # as of a newer C library
+    compiled = build.library(here)
+    assert compiled == tmp_path / "midstride" / unfit.name
+    why = f"the one for {platform.machine()} cannot be loaded: .*GLIBC_9.99"
+    assert re.match(rf"compiled here \({why}.*\), {compiled}$", build.origin(here))
+    with pytest.raises(StartFailed, match=rf"\({why}.*\), and {NO_COMPILER}"):
+        build.library(nowhere)
+    assert not build.is_available(nowhere)
 
 
 def test_what_the_compiler_says_is_reported(tmp_path: Path) -> None:

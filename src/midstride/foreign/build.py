@@ -1,14 +1,19 @@
-"""Compiles the library of the gate at its first use, into the user's cache."""
+"""The library of the gate: prebuilt in the package, else compiled at its first use, into the user's cache.
+
+What tools/wheel builds has it for MACHINES; the sources alone, as a checkout or an sdist, have none.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import platform
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +25,10 @@ SOURCES: Final = tuple(
 )
 _OPTIONS: Final = "-std=c11 -O2 -shared -fPIC -fvisibility=hidden".split()
 _LIBRARIES: Final = ("-lpthread", "-ldl")
+# Where the package has the library ready, by machine, as `uname -m` names it.
+PREBUILT: Final = Path(__file__).parent / "prebuilt"
+MACHINES: Final = ("x86_64", "aarch64")
+_ABSENT: Final = "there is none"
 # How long the compiler may take (s).
 TIMEOUT: Final = 60.0
 
@@ -33,12 +42,12 @@ def compiler(environment: Mapping[str, str] = os.environ) -> list[str] | None:
 
 
 def is_available(environment: Mapping[str, str] = os.environ) -> bool:
-    """Return whether the library is compiled, or there is a compiler for it."""
+    """Return whether there is a library for this machine, or a compiler for it."""
     return library_path(environment).exists() or compiler(environment) is not None
 
 
 def library(environment: Mapping[str, str] = os.environ) -> Path:
-    """The compiled library for this machine, compiled if it is not in the cache. Raises StartFailed.
+    """The library for this machine: the prebuilt one, else one that is compiled at its first use. Raises StartFailed.
 
     Its name has the hash of the sources. Of two processes that compile it at once, each puts a whole file in its place.
     """
@@ -48,9 +57,16 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
     command = compiler(environment)
     if command is None:
         raise StartFailed(
-            "`gate preload` needs a C compiler, and there is none on the PATH: install one "
-            "(`apt-get install gcc libc6-dev`), name it in CC, or write `gate relay`, which needs none"
+            f"`gate preload` needs a library that is not here ({_why_not_prebuilt()}), and there is "
+            "no C compiler on the PATH to make it: install one (`apt-get install gcc libc6-dev`), name it in CC, or "
+            "write `gate relay`, which needs none"
         )
+    compile_library(command, path, environment)
+    return path
+
+
+def compile_library(command: Sequence[str], path: Path, environment: Mapping[str, str] = os.environ) -> None:
+    """Compile the library into ``path`` by the compiler ``command``. Raises StartFailed, with what it says."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
@@ -67,7 +83,14 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
             output.replace(path)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise StartFailed(f"the gate cannot be compiled: {error}; or write `gate relay`") from None
-    return path
+
+
+def origin(environment: Mapping[str, str] = os.environ) -> str:
+    """Where the library for this machine comes from, and why, in words."""
+    path = library_path(environment)
+    if path == prebuilt_path():
+        return f"the prebuilt one of the package, {path}"
+    return f"compiled here ({_why_not_prebuilt()}), {path}"
 
 
 def _compiled() -> list[str]:
@@ -75,8 +98,39 @@ def _compiled() -> list[str]:
 
 
 def library_path(environment: Mapping[str, str]) -> Path:
-    """Where the compiled library is, or will be."""
-    return _cache(environment) / f"gate-{_digest()}-{platform.machine()}.so"
+    """Where the library is, or will be once it is compiled."""
+    prebuilt = prebuilt_path()
+    return prebuilt if why_unfit(prebuilt) is None else _cache(environment) / prebuilt.name
+
+
+def prebuilt_path(machine: str = platform.machine()) -> Path:
+    """Where the package has the library for a ``machine``, made from the sources as they are; it may have none."""
+    return PREBUILT / library_name(machine)
+
+
+def library_name(machine: str) -> str:
+    """The name of the library for a ``machine``, with the hash of the sources and options that it is made from."""
+    return f"gate-{_digest()}-{machine}.so"
+
+
+def _why_not_prebuilt() -> str:
+    why = why_unfit(prebuilt_path())
+    machine = platform.machine()
+    return f"the package has none for {machine}" if why == _ABSENT else f"the one for {machine} cannot be loaded: {why}"
+
+
+def why_unfit(path: Path) -> str | None:
+    """Why a library cannot be loaded here, as where the C library is older than it needs; None where it can."""
+    return _why_not_loaded(path) if path.exists() else _ABSENT
+
+
+@cache
+def _why_not_loaded(path: Path) -> str | None:
+    try:
+        ctypes.CDLL(str(path))
+    except OSError as error:
+        return str(error)
+    return None
 
 
 def _cache(environment: Mapping[str, str]) -> Path:

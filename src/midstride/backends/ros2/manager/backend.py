@@ -368,7 +368,9 @@ class Ros2Backend(ProcessBackend, Backend):
         return self._foreign_nodes.unwritten()
 
     def middleware(self) -> Middleware:
-        return self.settings.described(os.environ, self.warnings)
+        found = self.settings.described(os.environ, self.warnings)
+        library = self._foreign_nodes.library_origin()
+        return found if library is None else msgspec.structs.replace(found, notes=[*found.notes, library])
 
     async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         return self._joined().endpoints(topics)

@@ -271,6 +271,10 @@ class ForeignNodes:
             self._page = Page(path, library)
         return self._page, library
 
+    def library_origin(self) -> str | None:
+        """Which library of the gate its processes have, in words; None where none has one."""
+        return None if self._page is None else f"gate: the library is {build.origin()}"
+
     def note(self, state: ComponentState) -> None:
         """A component has reported this."""
         if state.instance in self._unfound:
