@@ -20,6 +20,7 @@ from midstride.foreign.gated_state import LOOK, PUBLISHING, MovingSides, longest
 from midstride.foreign.gates import Gates, share_baton
 from midstride.foreign.node import TICK, ForeignNode
 from midstride.foreign.page_layout import OPEN, OUTPUT
+from midstride.foreign.receipts import ReceiptNotes
 from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.node.control.attachments import READY_AFTER, not_matched
 from midstride.node.control.rate_watch import RateWatch
@@ -60,6 +61,7 @@ class GatedOutputs(UngatedOutputs):
         self._gates = gates
         self._states = states
         self._cuts: dict[str, _Cut] = {}
+        self._receipts = ReceiptNotes(gates, node.record.simulated_time, asyncio.sleep)
         self._shared_slots: dict[str, int] = {}  # by cut: the part in the page of a peer that uses Midstride's API
 
     async def attach(self, command: commands.AttachCommand) -> replies.Attached:
@@ -119,6 +121,12 @@ class GatedOutputs(UngatedOutputs):
     def _writers(self, baton: int) -> int:
         """How many calls of the holder of ``baton`` are publishing."""
         return self._gates.page.word(baton).writers
+
+    async def record(self, command: commands.RecordCommand) -> replies.RecordingSwitched:
+        return await self._receipts.switch(command)
+
+    async def records(self, command: commands.RecordsCommand) -> replies.Records:
+        return self._receipts.read(command)
 
     # -- waiting ---------------------------------------------------------------------------------------
 

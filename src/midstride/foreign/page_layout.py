@@ -28,6 +28,8 @@ GOALS: Final = 256
 ADDED: Final = 4
 # Of how many pairs of an output and a writer of what it answers is the last answer known for a role.
 ANSWERED: Final = 256
+# Of how many messages it is known that an input has received them.
+RECEIPTS: Final = 16384
 # Of how many requests that a server has answered it is known how long each took.
 LATEST: Final = 8
 
@@ -81,7 +83,26 @@ class PagePort(ctypes.Structure):
         ("in_step", c_uint32),
         ("falls", c_uint32),
         ("answers", c_uint64),
+        ("recorded", c_uint32),
+        ("spare", c_uint32),
         ("topic", c_char * NAME),
+    ]
+
+
+class PageReceipt(ctypes.Structure):
+    _fields_ = [
+        ("place", c_uint64),
+        ("received", c_int64),
+        ("sent", c_int64),
+        ("number", c_uint64),
+        ("writer", c_uint8 * MARK),
+    ]
+
+
+class PageReceipts(ctypes.Structure):
+    _fields_ = [
+        ("count", c_uint64),
+        ("last", PageReceipt * RECEIPTS),
     ]
 
 

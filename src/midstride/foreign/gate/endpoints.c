@@ -183,6 +183,7 @@ bool add_entry(const void *endpoint, const void *owner, const char *topic, uint3
   entry->most_kept = kind == OUTPUT ? most_kept(qos) : 0;
   entry->latched = is_latched(qos);
   entry->key = key_of(topic, strlen(topic));
+  atomic_store(&entry->receipts, NULL);
   memset((void *)entry->outputs, 0, sizeof entry->outputs);
   atomic_store(&entry->open, 0);
   entry->owner = owner;

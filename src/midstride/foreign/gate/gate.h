@@ -101,6 +101,8 @@ struct entry {
   size_t kept_bytes;
   bool latched;
   uint64_t key; /* from the name of its topic */
+  /* Of a subscription: where its receipts are noted; NULL until that is asked for. */
+  _Atomic(struct receipts *) receipts;
   /* Of a subscription: the outputs that have answered it, NULL where there are no more; how many of its inputs each of them is
    * still to answer. */
   _Atomic(struct port *) outputs[MOST_OUTPUTS];
@@ -182,6 +184,11 @@ bool is_answered(const struct entry *output, const struct input *input);
 bool another_answers(const struct entry *output, const struct input *input);
 /* This node, which has the baton, answers it. */
 void note_answer(const struct entry *output, const struct input *input);
+
+/* -- what is measured of a change (receipts.c) ------------------------------------------------------------------------ */
+
+/* Note a message that the node has taken, if the manager wants to know. */
+void note_receipt(struct entry *entry, const struct message_info *info);
 
 /* -- what is kept of publishers (publishers.c) ------------------------------------------------------------------------ */
 

@@ -29,6 +29,7 @@
 #define ADDED 4 /* how many requests to cancel many goals can be under way at two nodes of a role at once */
 #define ANSWERED 256 /* of how many pairs of an output and a writer of what it answers is the last answer known for a role */
 #define LATEST 8 /* of how many requests that a server has answered it is known how long each took */
+#define RECEIPTS 16384 /* of how many messages it is known that an input has received them */
 #define NAME 256
 #define MARK 16 /* of the identity of an endpoint in the graph */
 
@@ -66,7 +67,24 @@ struct port {
   _Atomic uint32_t in_step;
   _Atomic uint32_t falls;
   _Atomic uint64_t answers;
+  _Atomic uint32_t recorded; /* of an input: whether what it receives is noted, in a file of the port beside the page */
+  uint32_t spare;
   char topic[NAME]; /* its full name; of a server or a client, that of the service */
+};
+
+/* A message that an input has received. */
+struct receipt {
+  _Atomic uint64_t place; /* how many were noted before it, and itself; 0: it is being written */
+  int64_t received;       /* CLOCK_MONOTONIC, ns */
+  int64_t sent;           /* as the middleware says, Unix time, ns; 0: it does not */
+  uint64_t number;        /* at its writer; 0: the middleware does not say */
+  uint8_t writer[16];
+};
+
+/* The last messages that an input has received; that of place n is at (n - 1) % RECEIPTS. */
+struct receipts {
+  _Atomic uint64_t count; /* of all */
+  struct receipt last[RECEIPTS];
 };
 
 /* What has become of goals: so many were accepted, ended, or ended as they were cancelled; and how many requests were
