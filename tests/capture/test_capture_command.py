@@ -39,7 +39,7 @@ def graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ObservedGraph:
     simulated = SimulatedGraph()
     simulated.publisher("/talker", "/chatter", "std_msgs/msg/String", rate=50.0)
     graph = simulated.observed()
-    plant(monkeypatch, ros2, "observe", lambda seconds, nodes=(): graph)
+    plant(monkeypatch, ros2, "observe", lambda seconds, nodes=(), gates=None: graph)
     Path("chat.stride").write_text(FILE)
     return graph
 
@@ -162,7 +162,7 @@ def relay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Gates:
     simulated.publisher("/relay", "/out", "std_msgs/msg/String", rate=10.0)
     graph = simulated.observed()
     gates = Gates(IN, OUT, ProbedPort("/relay", "/rosout", True))
-    plant(monkeypatch, ros2, "observe", lambda seconds, nodes=(): graph)
+    plant(monkeypatch, ros2, "observe", lambda seconds, nodes=(), gates=None: graph)
     plant(monkeypatch, probed_page, "probing", lambda folder: nullcontext(gates))
     plant(monkeypatch, capture, "find_workspace", lambda system: Workspace(tmp_path))
     Path("chat.stride").write_text(RELAY)

@@ -9,6 +9,7 @@ import pytest
 from midstride.capture.graph_draft import draft
 from midstride.capture.insertion import Insertion, insert
 from midstride.capture.observed import ObservedGraph
+from midstride.capture.response_times import FEWEST, measured_answers
 from midstride.lang import format_text
 from midstride.model.specification import Specification
 from tests.capture.simulated import SimulatedGraph
@@ -83,6 +84,34 @@ def test_a_draft_has_the_services_that_nodes_rely_on(tmp_path: Path) -> None:
         ["service", "/maps/map", ":", MAP],
         ["action", "/dock", ":", DOCK],
     ]
+
+
+def test_the_bound_of_a_server_is_what_its_process_has_shown(tmp_path: Path) -> None:
+    """Twice the longest response, rounded up; of one that was not asked often enough, or has no gate, it is said."""
+    graph = robot().observed()
+
+    def guarantees(rates: bool) -> list[str]:
+        text = draft("robot", graph, rates)
+        checked(text, tmp_path)
+        found = [line.strip() for line in text.splitlines() if "guarantee map" in line or "guarantee dock " in line]
+        return sorted(found, reverse=True)
+
+    without = "# no bound: what it takes to answer is seen with a gate inside, under `midstride up`"
+    assert guarantees(rates=True) == [f"guarantee map : {MAP}  {without}", f"guarantee dock : {DOCK}  {without}"]
+    graph.took = {("/maps", "/maps/map"): [0.001, 0.002, 0.012, 0.002, 0.003], ("/docking", "/dock"): [0.4] * 4}
+    note = "# answered 5 requests: median 2 ms, longest 12 ms; proposed: within 30 ms"
+    few = f"guarantee dock : {DOCK}  # no bound: 4 requests answered in 10 s"
+    assert guarantees(rates=False) == [f"guarantee map : {MAP}  {note}", few]
+    assert guarantees(rates=True) == [f"guarantee map : {MAP} responds within 30 ms  {note}", few]
+    graph.took["/docking", "/dock"] = [0.4] * 5
+    assert f"guarantee dock : {DOCK} accepts within 800 ms  # answered 5" in guarantees(rates=True)[1]
+
+
+@pytest.mark.parametrize(("longest", "bound"), [(0.0, 0.01), (0.012, 0.03), (0.05, 0.1), (0.5, 1.0), (3.1, 7.0)])
+def test_a_proposed_bound_is_rounded_up(longest: float, bound: float) -> None:
+    found = measured_answers([longest] * FEWEST)
+    assert found is not None and found.bound == bound
+    assert measured_answers([longest] * (FEWEST - 1)) is None
 
 
 def test_a_file_gets_them_as_its_programs_call_them(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from midstride.backends.ros2.manager.seen_answers import SeenAnswers
 from midstride.codec.component_form import NamedComponentForm
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
@@ -238,6 +239,33 @@ def test_the_page_says_since_when_no_executor_waits(lab: Lab) -> None:
         served.does("events")
         served.does("wait 1")
         assert served.port.busy == 0
+
+
+def test_capture_reads_how_long_each_took(
+    lab: Lab, tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without being the manager; what was answered before it looked does not count."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(gate_library.parent.parent))
+    with server(lab) as served:
+        lab.processes[served.port.node - 1] = served.process  # type: ignore[assignment]
+        lab.record("server", served.port.node - 1, next(iter(load_text(TEXT).require().components.values())))
+        served.does("take")
+        served.does("answer 1")
+        seen = SeenAnswers(tmp_path)
+        seen.look()
+        assert seen.took == {("/server", "/count"): []}
+        for number in (2, 3):
+            served.does("take")
+            served.does(f"answer {number}")
+        seen.look()
+        seen.look()
+        (took,) = seen.took.values()
+        assert len(took) == 2 and all(0 <= each < 60 for each in took)
+        for number in range(4, LATEST + 9):
+            served.does("take")
+            served.does(f"answer {number}")
+        seen.look()
+        assert len(took) == 2 + LATEST
 
 
 # -- what clients do about it ---------------------------------------------------------------------------------------

@@ -58,6 +58,8 @@ class ObservedGraph:
     lazy: set[tuple[str, str]] = field(default_factory=set)
     lifecycle: set[str] = field(default_factory=set)
     managers: dict[str, set[str]] = field(default_factory=dict)
+    # By node and service or ROS action, how long each response took (s), where the library in its process shows that.
+    took: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     _times: dict[tuple[str, str], list[float]] = field(default_factory=dict)
 
     def saw(self, endpoints: Iterable[ObservedEndpoint]) -> None:
@@ -109,6 +111,7 @@ class ObservedGraph:
             lazy={(name_of(node), topic) for node, topic in self.lazy},
             lifecycle={*map(name_of, self.lifecycle)},
             managers={name_of(node): {*map(name_of, managed)} for node, managed in self.managers.items()},
+            took={(name_of(node), name): took for (node, name), took in self.took.items()},
         )
 
     def topics(self) -> set[str]:

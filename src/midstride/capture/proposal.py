@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from typing import Final
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.capture.probe import Dependence, Dependences, ProbeVerdict
 from midstride.capture.rates import MeasuredRate, measured
+from midstride.capture.response_times import MeasuredAnswers, measured_answers
 from midstride.lang.token_stream import RESERVED
 from midstride.model.contract import DEFAULT_QOS, QoS
 from midstride.model.wording import KIND_WORDS, counted
@@ -27,8 +29,9 @@ _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 
 @dataclass(frozen=True, slots=True)
 class ProposedPort:
-    """A port. ``own_topic`` is what the program calls the topic; ``rate`` and ``note`` say what was measured.
+    """A port. ``own_topic`` is what the program calls the topic.
 
+    ``rate``, ``answers`` and ``note`` say what was measured.
     ``probed``: of an input, what a probe has found of it and each output, by name; empty where there was none.
     """
 
@@ -36,6 +39,7 @@ class ProposedPort:
     endpoint: ObservedEndpoint
     own_topic: str
     rate: MeasuredRate | None = None
+    answers: MeasuredAnswers | None = None
     note: str = ""
     probed: Mapping[str, Dependence] = field(default_factory=dict)
     lazy: bool = False
@@ -111,10 +115,13 @@ def ports_of(
         name = _port_name(endpoint, endpoints, used)
         used.add(name)
         own = own_name(endpoint, remaps)
-        measures = endpoint.output and endpoint.kind == "topic"
-        rate, note = _measured(graph, endpoint) if measures else (None, "")
+        rate, answers, note = None, None, ""
+        if endpoint.output and endpoint.kind == "topic":
+            rate, note = _measured(graph, endpoint)
+        elif endpoint.output:
+            answers, note = _answered(graph, endpoint)
         lazy = endpoint.output and (node, endpoint.topic) in graph.lazy
-        ports.append(ProposedPort(name, endpoint, own, rate, note, lazy=lazy))
+        ports.append(ProposedPort(name, endpoint, own, rate, answers, note, lazy=lazy))
     return [
         port if port.endpoint.output else replace(port, probed=_probed(port, ports, findings or {})) for port in ports
     ]
@@ -133,19 +140,25 @@ def merged(variants: Iterable[list[ProposedPort]]) -> list[ProposedPort]:
     """The ports of nodes that share a component: it depends on what one of them depends on, and is as slow as one."""
     found = []
     for same in zip(*variants, strict=True):
-        slowest = min(same, key=_bound)
+        slowest = max(same, key=_late) if same[0].is_service else min(same, key=_bound)
         probed = {
             name: max((port.probed[name] for port in same if name in port.probed), key=_weight)
             for name in dict.fromkeys(name for port in same for name in port.probed)
         }
         lazy = any(port.lazy for port in same)
-        found.append(replace(same[0], probed=probed, rate=slowest.rate, note=slowest.note, lazy=lazy))
+        measured = {"rate": slowest.rate, "answers": slowest.answers, "note": slowest.note}
+        found.append(replace(same[0], probed=probed, lazy=lazy, **measured))
     return found
 
 
 def _bound(port: ProposedPort) -> float:
     """The rate that the port can be relied on for; 0: none is known."""
     return 0.0 if port.rate is None else port.rate.bound
+
+
+def _late(port: ProposedPort) -> float:
+    """The bound that the port can be relied on for; infinite: none is known."""
+    return math.inf if port.answers is None else port.answers.bound
 
 
 def _weight(finding: Dependence) -> int:
@@ -168,6 +181,15 @@ def _measured(graph: ObservedGraph, endpoint: ObservedEndpoint) -> tuple[Measure
     if (rate := measured(times)) is None:
         return None, f"rate not measured: {counted(len(times), 'message')} in {graph.seconds:.3g} s"
     return rate, str(rate)
+
+
+def _answered(graph: ObservedGraph, endpoint: ObservedEndpoint) -> tuple[MeasuredAnswers | None, str]:
+    took = graph.took.get((endpoint.node, endpoint.topic))
+    if took is None:
+        return None, "no bound: what it takes to answer is seen with a gate inside, under `midstride up`"
+    if (answers := measured_answers(took)) is None:
+        return None, f"no bound: {counted(len(took), 'request')} answered in {graph.seconds:.3g} s"
+    return answers, str(answers)
 
 
 def _port_name(endpoint: ObservedEndpoint, all_: Iterable[ObservedEndpoint], used: set[str]) -> str:
@@ -264,8 +286,16 @@ def _functionality(
     for port in outputs:
         bound = port.rate.bound if rates and port.rate is not None else None
         contract = contract_text(port.endpoint.type, port.endpoint.qos, bound)
+        if rates and port.answers is not None:
+            verb = "accepts" if port.endpoint.kind == "action" else "responds"
+            contract += f" {verb} within {_duration(port.answers.bound)}"
         yield f"guarantee {port.name} : {contract}" + (f"  # {port.note}" if port.note else "")
     yield from ("}", "mode degraded { }", "}")
+
+
+def _duration(seconds: float) -> str:
+    """A duration as the language has it."""
+    return f"{seconds * 1e3:g} ms" if seconds < 1 else f"{seconds:g} s"
 
 
 def _in_words(finding: Dependence) -> str:

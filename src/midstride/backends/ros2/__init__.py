@@ -83,9 +83,23 @@ def create_backend(
     return Ros2Backend(control, logs=logs, guardian=guardian, middleware_settings=middleware_settings)
 
 
-def observe(seconds: float, nodes: Collection[str] = ()) -> ObservedGraph:
-    """See :func:`.manager.observer.observe`. Raises BackendError without ROS 2."""
+def observe(seconds: float, nodes: Collection[str] = (), gates: Path | None = None) -> ObservedGraph:
+    """See :func:`.manager.observer.observe`, and for ``gates``, :class:`.manager.seen_answers.SeenAnswers`.
+
+    Raises BackendError without ROS 2.
+    """
     _require_rclpy()
     from midstride.backends.ros2.manager import observer
+    from midstride.backends.ros2.manager.seen_answers import SeenAnswers
 
-    return observer.observe(seconds, nodes)
+    if gates is None:
+        return observer.observe(seconds, nodes)
+    answers = SeenAnswers(gates)
+
+    def looked(_: ObservedGraph) -> bool:
+        answers.look()
+        return False
+
+    graph = observer.observe(seconds, nodes, looked)
+    graph.took = answers.took
+    return graph

@@ -29,7 +29,7 @@ from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import NO, is_interactive, json_option, print_json, stride_output, wants_json
 from midstride.cli.running_systems import find_workspace, system_option
 from midstride.errors import ManagerError, MidstrideError
-from midstride.foreign.page import GATES_FOLDER
+from midstride.foreign.page import GATES_FOLDER, PAGE
 from midstride.lang.load import load
 from midstride.lang.source_files import read_text
 from midstride.model.instance_names import full_name
@@ -44,7 +44,9 @@ from midstride.runtime.workspace import Workspace
 )
 @click.option("--into", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE", help="Add the ports to FILE.")
 @stride_output("Write the draft, or FILE with its ports, to this file.")
-@click.option("--rates", is_flag=True, help="State the proposed rates in the guarantees, instead of as comments.")
+@click.option(
+    "--rates", is_flag=True, help="State the proposed rates and bounds in the guarantees, instead of as comments."
+)
 @click.option(
     "--probe", "with_probe", is_flag=True, help="Close inputs of nodes with gates, to find what depends on them."
 )
@@ -77,7 +79,8 @@ def capture_command(
 ) -> int:
     """Look at the running ROS 2 nodes, and propose their ports with types, QoS and rates.
 
-    Services and ROS actions are proposed where nodes call each other; comments name the others.
+    Services and ROS actions are proposed where nodes call each other; comments name the others. How fast they answer
+    is seen of nodes that have a gate inside and run under `midstride up`.
     The time counts from when the nodes of FILE have been seen, or 10 s later.
     With `--into`, nodes of FILE that have no ports get them, and the rest stays as it is; otherwise a draft is
     printed, or written with `-o`.
@@ -98,7 +101,7 @@ def capture_command(
     findings: Dependences | None = {}
     folder = find_workspace(system).components / GATES_FOLDER if with_probe else None
     with nullcontext() if folder is None else probed_page.probing(folder) as gates:
-        graph = ros2.observe(seconds, nodes)
+        graph = ros2.observe(seconds, nodes, _gates(into, system))
         if not graph.endpoints and not graph.services:
             raise MidstrideError(
                 f"no node with topics or services was seen within {seconds:g} s (ROS_DOMAIN_ID and discovery range?)"
@@ -144,6 +147,16 @@ def _own_names(file: Path, system: str | None) -> dict[str, str]:
     except ManagerError:  # the nodes are looked for by their names in the file
         return {}
     return {full_name(each.role): each.node for each in instances if each.role in unnamed and each.node}
+
+
+def _gates(file: Path | None, system: str | None) -> Path | None:
+    """The folder of the gates inside the nodes of a system that runs: that of ``file``, or the only one."""
+    name = system
+    if name is None and file is not None and (stated := load(file).specification) is not None:
+        name = stated.name
+    found = [each for each in Workspace.all() if name in (None, each.name) and Client(each.socket).answers()]
+    folder = found[0].components / GATES_FOLDER if len(found) == 1 else None
+    return folder if folder is not None and (folder / PAGE).exists() else None
 
 
 def _probed(

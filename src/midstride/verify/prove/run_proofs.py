@@ -21,11 +21,12 @@ from midstride.verify.prove import solvers
 from midstride.verify.prove.counterexample import Counterexample
 from midstride.verify.prove.facts import FACT_GOALS
 from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
+from midstride.verify.prove.services import SERVICE_GOALS
 from midstride.verify.prove.terms import Term, and_, app, not_
 from midstride.verify.prove.theory import SORTS, Parts, Theory
 from midstride.verify.verdict import Answer
 
-GOALS: Final[tuple[Goal, ...]] = (*ACTION_GOALS, *FACT_GOALS)
+GOALS: Final[tuple[Goal, ...]] = (*ACTION_GOALS, *FACT_GOALS, *SERVICE_GOALS)
 # Counterexamples are searched in systems of these sizes, smallest first.
 SIZES: Final[tuple[Mapping[str, int], ...]] = tuple(
     dict(zip(SORTS, numbers, strict=True))

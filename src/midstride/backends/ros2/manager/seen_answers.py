@@ -1,0 +1,43 @@
+"""How long the servers of running nodes with a preloaded library take to answer, for `midstride capture`.
+
+It only reads the page of their system, from a process that is not their manager.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from midstride.foreign import build
+from midstride.foreign.page import PAGE, SEND_GOAL, Page
+from midstride.foreign.page_layout import SERVER
+from midstride.foreign.record import ForeignRecord
+
+_WRAP = 2**32
+
+
+class SeenAnswers:
+    """Of the nodes whose page and records are in ``folder``. Raises BackendError where the page cannot be used."""
+
+    def __init__(self, folder: Path) -> None:
+        self._page = Page(folder / PAGE, build.library())
+        self._nodes = {
+            record.index: record.node
+            for path in sorted(folder.glob("*.json"))
+            if (record := ForeignRecord.read(folder, path.stem)) is not None and record.index is not None
+        }
+        self._known: dict[tuple[str, str], int] = {}  # how many it had answered at the last look
+        # By the full names of a node and of its service or ROS action: how long each response took (s).
+        self.took: dict[tuple[str, str], list[float]] = {}
+
+    def look(self) -> None:
+        """See what was answered since the last look; of more responses than the page has, the last ones."""
+        for port in self._page.every_port():
+            node = self._nodes.get(port.node - 1)
+            if port.kind != SERVER or node is None or self._page.is_dead(port.node - 1):
+                continue
+            key = node, port.topic.decode().removesuffix(SEND_GOAL)
+            answered, kept = int(port.answered), len(port.took)
+            new = (answered - self._known.get(key, answered)) % _WRAP
+            self._known[key] = answered
+            found = self.took.setdefault(key, [])
+            found += [port.took[number % kept] / 1e6 for number in range(answered - min(new, kept), answered)]
