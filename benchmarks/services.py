@@ -1,8 +1,9 @@
 """What replacing a server costs its clients: 20 bare clients at 10 Hz, each with one request at a time, on real ROS 2.
 
 Components with Midstride's API, and nodes without it behind `gate preload`, in plain rclpy and in C on rcl, replaced by
-Midstride; beside them a server that is killed and another one started, whose clients give a request up after 1 s; and
-one that stays.
+Midstride. Beside them: a server that is killed and another one started; lifecycle nodes that serve while they
+are active, of which one is deactivated and then the next one activated, as a lifecycle manager would; and a server
+that stays. Clients of the first two give a request up after 1 s.
 Clients and servers count, in the same way for each. *At the cut* is what was sent between the last response of the old
 server and the first one of the new server, or at most a period (0.1 s) before or after.
 
@@ -31,8 +32,8 @@ sys.path.append(str(ROOT))
 
 from midstride.lang.load import load  # noqa: E402
 from tests.acceptance.foreign_support import robot  # noqa: E402
-from tests.acceptance.serving import Answered, Calls, calling, written, written_with_the_api  # noqa: E402
-from tests.backends.ros2_support import without_midstride  # noqa: E402
+from tests.acceptance.serving import SERVER, Answered, Calls, calling, written, written_with_the_api  # noqa: E402
+from tests.backends.ros2_support import Bare, without_midstride  # noqa: E402
 
 PERIOD = 0.1
 # How many replacements one block has.
@@ -43,6 +44,20 @@ PATIENCE = 1.0
 REST, LOOK = 0.5, 0.2
 COLUMNS = ("swaps", "requests", "unanswered", "twice", "out of order")
 Figures = dict[str, Any]
+# The transitions of a lifecycle node, by ROS's numbers.
+CONFIGURE, ACTIVATE, DEACTIVATE = 1, 3, 4
+NODE = """
+class Server(LifecycleNode):
+    def on_activate(self, state):
+        self.served = self.create_service(ListParameters, "count", count)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state):
+        self.destroy_service(self.served)
+        return super().on_deactivate(state)
+
+node = Server("talker")
+"""
 
 
 def cuts(answered: Sequence[Answered]) -> list[tuple[float, float]]:
@@ -131,6 +146,51 @@ async def killed(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
     return figures(calls, swaps), []
 
 
+# The server as a lifecycle node, which serves while it is active.
+LIFECYCLE = (
+    SERVER.replace("from rclpy.node import Node", "from rclpy.lifecycle import LifecycleNode")
+    .replace('node = Node("talker")\n', NODE)
+    .replace('node.create_service(ListParameters, "count", count)\n', "")
+)
+
+
+async def switched(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
+    """Each server is deactivated once another one is configured, and then that is activated."""
+    from lifecycle_msgs.srv import ChangeState
+
+    written(folder)
+    (folder / "server.py").write_text(LIFECYCLE)
+    server = started(folder, "server_0")
+
+    with Bare("switch") as bare:
+
+        async def takes(name: str, *transitions: int) -> None:
+            client = bare.node.create_client(ChangeState, f"/{name}/change_state")
+            for number in transitions:
+                request = ChangeState.Request()
+                request.transition.id = number
+                answer = await bare.ask(client, request)
+                assert answer.success, f"{name} refuses transition {number}"
+            bare.node.destroy_client(client)
+
+        try:
+            await takes("server_0", CONFIGURE, ACTIVATE)
+            async with calling(folder, looked, patience=PATIENCE) as calls:
+                for number in range(1, swaps + 1):
+                    new = started(folder, f"server_{number}")
+                    try:
+                        await takes(f"server_{number}", CONFIGURE)
+                        await takes(f"server_{number - 1}", DEACTIVATE)
+                        await takes(f"server_{number}", ACTIVATE)
+                    finally:
+                        end(server)
+                        server = new
+                    await asyncio.sleep(10 * PERIOD)
+        finally:
+            end(server)
+    return figures(calls, swaps), []
+
+
 async def steady(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
     """One server for as long as the replacements of one block take."""
     written(folder)
@@ -149,6 +209,7 @@ WAYS: Mapping[str, Way] = {
     "replaced, rclpy": lambda folder, swaps: replaced(folder, swaps, ("Other", "Plain")),
     "replaced, C": lambda folder, swaps: replaced(folder, swaps, ("Info", "Id")),
     "killed": killed,
+    "lifecycle": switched,
     "none": steady,
 }
 

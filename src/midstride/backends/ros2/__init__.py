@@ -89,12 +89,11 @@ def observe(seconds: float, nodes: Collection[str] = (), gates: Path | None = No
     Raises BackendError without ROS 2.
     """
     _require_rclpy()
-    from midstride.backends.ros2.manager import observer
-    from midstride.backends.ros2.manager.seen_answers import SeenAnswers
+    from midstride.backends.ros2.manager import observer, seen_answers
 
     if gates is None:
         return observer.observe(seconds, nodes)
-    answers = SeenAnswers(gates)
+    answers = seen_answers.SeenAnswers(gates)
 
     def looked(_: ObservedGraph) -> bool:
         answers.look()

@@ -21,7 +21,7 @@ from midstride.verify.prove import solvers
 from midstride.verify.prove.counterexample import Counterexample
 from midstride.verify.prove.facts import FACT_GOALS
 from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
-from midstride.verify.prove.services import SERVICE_GOALS
+from midstride.verify.prove.service_goals import SERVICE_GOALS
 from midstride.verify.prove.terms import Term, and_, app, not_
 from midstride.verify.prove.theory import SORTS, Parts, Theory
 from midstride.verify.verdict import Answer
