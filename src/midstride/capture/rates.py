@@ -32,7 +32,7 @@ class MeasuredRate:
         return float(f"{math.floor(low / unit * (1 + 1e-9)) * unit:.6g}")
 
     def __str__(self) -> str:
-        gaps = f"gaps: median {time_in_words(self.median)}, 95 % {time_in_words(self.p95)}, longest {time_in_words(self.longest)}"
+        gaps = f"gaps: median {in_words(self.median)}, 95 % {in_words(self.p95)}, longest {in_words(self.longest)}"
         return f"measured {self.mean:.4g} Hz; {gaps}; proposed: @ {self.bound:g} Hz"
 
 
@@ -50,5 +50,5 @@ def _quantile(ordered: Sequence[float], share: float) -> float:
     return ordered[min(len(ordered) - 1, math.ceil(share * len(ordered)) - 1)]
 
 
-def time_in_words(seconds: float) -> str:
+def in_words(seconds: float) -> str:
     return f"{seconds * 1e3:.3g} ms" if seconds < 0.9995 else f"{seconds:.3g} s"  # what rounds to 1 s is a second

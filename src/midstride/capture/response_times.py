@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from midstride.capture.rates import in_words
 from midstride.model.wording import counted
-from midstride.capture.rates import time_in_words
 
 # Fewer responses than these say nothing about a bound.
 FEWEST: Final = 5
@@ -33,8 +33,8 @@ class MeasuredAnswers:
         return float(f"{math.ceil(high / unit * (1 - 1e-9)) * unit:.3g}")
 
     def __str__(self) -> str:
-        took = f"median {time_in_words(self.median)}, longest {time_in_words(self.longest)}"
-        return f"answered {counted(self.number, 'request')}: {took}; proposed: within {time_in_words(self.bound)}"
+        took = f"median {in_words(self.median)}, longest {in_words(self.longest)}"
+        return f"answered {counted(self.number, 'request')}: {took}; proposed: within {in_words(self.bound)}"
 
 
 def measured_answers(took: Sequence[float]) -> MeasuredAnswers | None:
