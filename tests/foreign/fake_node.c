@@ -6,7 +6,8 @@
  * FAKE_TOPICS is for how many further topics it creates publishers, TOPIC_0 and so on. With FAKE_SECOND, the full name of
  * another node in the process, that publishes on the topic as well, as WRITER + 1000. FAKE_NODES has the names of nodes that
  * it creates first, with the name `/given` for all by the rules of the command line: one with `=` has that other name by a
- * rule of its own, and one with `-` is ended at once. */
+ * rule of its own, and one with `-` is ended at once. With FAKE_WITHIN, it uses intra-process communication as rclcpp does, and
+ * only a subscription of the process gets its messages. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <stdio.h>
@@ -28,6 +29,15 @@ int rcl_publish(const void *, const void *, void *);
 int rcl_subscription_init(void *, const void *, const void *, const char *, const void *);
 int rcl_take(const void *, void *, void *, void *);
 int rcl_timer_call(void *);
+
+/* Of rclcpp: PublisherBase::setup_intra_process, which its publisher has called once it is registered with the manager. */
+struct publisher_base {
+  const void *publisher;
+  int takes_part;
+};
+void setup(struct publisher_base *, uint64_t, uint64_t **)
+    __asm__("_ZN6rclcpp13PublisherBase19setup_intra_processEmSt10shared_ptrINS_12experimental19IntraProcessManagerEE");
+int fake_deliver(const uint64_t *);
 
 static long long now(void)
 {
@@ -70,6 +80,10 @@ int main(int count, char **arguments)
   for (int index = 0; index < others; index++)
     rcl_publisher_init(&other[index], NULL, &type, arguments[2], NULL);
   rcl_publisher_init(&publisher, &first, &type, arguments[2], NULL);
+  struct publisher_base base = {&publisher, 0};
+  uint64_t registered = 7, *manager = &registered;
+  if (getenv("FAKE_WITHIN"))
+    setup(&base, registered, &manager);
   if (second)
     rcl_publisher_init(&second_publisher, &second, &type, arguments[2], NULL);
   for (int index = 0; topics && index < atoi(topics); index++) {
@@ -96,7 +110,10 @@ int main(int count, char **arguments)
       rcl_timer_call(NULL);
     if (!getenv("FAKE_INPUT_NS"))
       message[1] = (uint64_t)number;
-    rcl_publish(&publisher, message, NULL);
+    if (base.takes_part && registered)
+      fake_deliver(message);
+    else
+      rcl_publish(&publisher, message, NULL);
     if (strcmp(way, "twice") == 0)
       rcl_publish(&publisher, message, NULL);
     if (second) {

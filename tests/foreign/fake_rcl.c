@@ -286,3 +286,43 @@ int rcl_service_set_on_new_request_callback(const void *service, const void *cal
   (void)service, (void)callback, (void)context;
   return 0;
 }
+
+/* -- in the place of librclcpp, with its names --------------------------------------------------------------------------- */
+
+struct manager {
+  uint64_t registered; /* the number of the publisher, 0: none */
+};
+
+struct publisher_base {
+  const struct publisher *publisher;
+  int takes_part;
+};
+
+const char *topic_name(const struct publisher_base *base) __asm__("_ZNK6rclcpp13PublisherBase14get_topic_nameEv");
+void remove_publisher(struct manager *manager, uint64_t number)
+    __asm__("_ZN6rclcpp12experimental19IntraProcessManager16remove_publisherEm");
+void setup(struct publisher_base *base, uint64_t number, struct manager **manager)
+    __asm__("_ZN6rclcpp13PublisherBase19setup_intra_processEmSt10shared_ptrINS_12experimental19IntraProcessManagerEE");
+
+const char *topic_name(const struct publisher_base *base)
+{
+  return rcl_publisher_get_topic_name(base->publisher);
+}
+
+void remove_publisher(struct manager *manager, uint64_t number)
+{
+  if (manager->registered == number)
+    manager->registered = 0;
+}
+
+void setup(struct publisher_base *base, uint64_t number, struct manager **manager)
+{
+  (void)number, (void)manager;
+  base->takes_part = 1;
+}
+
+/* A subscription of the process gets a message. */
+int fake_deliver(const uint64_t *message)
+{
+  return record(message);
+}

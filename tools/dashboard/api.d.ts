@@ -1103,6 +1103,8 @@ declare namespace Api {
     /** over which all of this is measured (s); null: nothing is */
     window?: number | null;
     fields?: FieldStatus[];
+    /** it would use intra-process communication, which goes past a gate, without one */
+    kept_out: boolean;
   }
 
   /** A guarantee or an assumption: what messages are like, or how soon a service or ROS action answers. */

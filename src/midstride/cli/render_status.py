@@ -231,7 +231,13 @@ def platform(status: Status) -> RenderableType:
         for component in status.instances
         for words in component.undeclared
     ]
-    notes = [*undeclared, *middleware.notes, *_spares(status.spares)]
+    kept_out = [
+        f"{component.name}: {port.topic} does not take part in intra-process communication, so that the gate sees it"
+        for component in status.instances
+        for port in component.ports
+        if port.kept_out
+    ]
+    notes = [*undeclared, *kept_out, *middleware.notes, *_spares(status.spares)]
     return Group(*lines, *(Text(note, style="dim") for note in notes))
 
 

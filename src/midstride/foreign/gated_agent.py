@@ -287,7 +287,7 @@ class ForeignAgent:
         whole = waited if waited >= endpoints_seconds(self.node.component) else None
         absent = declared.lacking(found, [port for port in missing if port not in past], whole)
         faults += absent if why is None else [f"{fault}; {why}" for fault in absent]
-        faults += declared.differences(found)
+        faults += declared.differences(found) + self.node.past_the_gate()
         self._failed = "; ".join(faults) or None
         return []
 

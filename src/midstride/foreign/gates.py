@@ -10,7 +10,18 @@ from typing import Final
 
 from midstride.errors import BackendError
 from midstride.foreign.page import GET_RESULT, KnownGoal, KnownSetting, Page
-from midstride.foreign.page_layout import CLOSED, INPUT, LISTS, NAMES_ONE, OPEN, OUTPUT, GoalState, PagePort, PortFlag
+from midstride.foreign.page_layout import (
+    CLOSED,
+    INPUT,
+    LISTS,
+    NAMES_ONE,
+    OPEN,
+    OUTPUT,
+    GoalState,
+    PagePort,
+    PortFlag,
+    Within,
+)
 from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
 
@@ -63,6 +74,7 @@ class Gates:
                 rate = self.rate(port)
                 entry.flags = PortFlag.ANSWERS if rate else PortFlag.KEEPS | PortFlag.ANSWERS
                 entry.half = int(min(5e5 / rate, 2**32 - 1)) if rate else 0
+                entry.within = Within.KEEP_OUT
             else:
                 entry.gate = OPEN
 
@@ -134,6 +146,14 @@ class Gates:
         """Return whether each of the last messages of an output has answered one message that the node had taken."""
         return int(self.entry(port).in_step) >= SEEN
 
+    def is_kept_out(self, port: str) -> bool:
+        """Return whether a publisher of an output would use intra-process communication without its gate."""
+        return bool(self.entry(port).within & Within.KEPT_OUT)
+
+    def past_the_gate(self) -> list[str]:
+        """The outputs of which subscriptions of the process may get messages that the gate does not see."""
+        return [port for port in self.component.outputs if self.entry(port).within & Within.TAKES_PART]
+
     def baton(self, port: str) -> int:
         return int(self.entry(port).baton)
 
@@ -166,8 +186,11 @@ class Gates:
         return not self.unstated or self.page.word(self.unstated).holder == self.index + 1
 
     def unstated_topics(self) -> set[str]:
-        """The topics that are no ports, by full name, that are handed over to a replacement with this kind of gate."""
-        return set(self.page.unstated(self.index))
+        """The topics that are no ports, by full name, that are handed over to a replacement with this kind of gate.
+
+        Not those on which subscriptions of its process may get messages past the gate.
+        """
+        return {topic for topic, port in self.page.unstated(self.index).items() if not port.within & Within.TAKES_PART}
 
     def has_readers_of(self, other: int) -> bool:
         """Return whether it has as many readers as the node ``other`` on each topic that is no port of either."""

@@ -102,7 +102,13 @@ class GraphWatch:
         lost = self._servers.differences(served) if self._registered_at is not None and served != Served() else []
         serves = [each.endpoint for each in served.own]
         seen = (
-            [*self._declared.differences(found), *lost, *left, *self._managed_twice(served)],
+            [
+                *self._declared.differences(found),
+                *self._node.past_the_gate(),
+                *lost,
+                *left,
+                *self._managed_twice(served),
+            ],
             self._undeclared(found),
             serves,
             [each.name for each in served.managers],

@@ -303,7 +303,17 @@ class ForeignNode:
             measured=self._measured(port, gates),
             fenced=self.component.has_output(port) and gates.fenced(port),
             by_input=gates.answers_inputs(port) if self.component.has_output(port) else None,
+            kept_out=self.component.has_output(port) and gates.is_kept_out(port),
         )
+
+    def past_the_gate(self) -> list[str]:
+        """The outputs that could not be kept out of intra-process communication, in words."""
+        return [
+            f"output {port} uses intra-process communication: subscriptions in the process of {self.record.node} get "
+            f"what it publishes on {self.record.topics[port]} past the gate; have the program create the node with "
+            "`use_intra_process_comms(false)`, or declare `gate none`"
+            for port in ([] if self.gates is None else self.gates.past_the_gate())
+        ]
 
     def _measured(self, port: str, gates: Gates) -> Measured | None:
         """From the counts at each report, so less exact than a component's own figures; there is no jitter.

@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 11
+VERSION: Final = 12
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -60,6 +60,17 @@ class PortFlag(IntFlag):
     ANSWERS = 32
 
 
+class Within(IntFlag):
+    """Of an output: what becomes of intra-process communication, which goes past the gate (``within.c``).
+
+    KEEP_OUT: its publishers are not to take part. KEPT_OUT: one would have. TAKES_PART: one does.
+    """
+
+    KEEP_OUT = 1
+    KEPT_OUT = 2
+    TAKES_PART = 4
+
+
 class PagePort(ctypes.Structure):
     _fields_ = [
         ("kind", c_uint32),
@@ -84,7 +95,7 @@ class PagePort(ctypes.Structure):
         ("falls", c_uint32),
         ("answers", c_uint64),
         ("recorded", c_uint32),
-        ("spare", c_uint32),
+        ("within", c_uint32),
         ("topic", c_char * NAME),
     ]
 

@@ -154,7 +154,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     since it was first handed to this one, because no node that writes it was active; None for any other.
     ``responses``: of a server, or of a client, where a bound is stated and something measures it.
     ``by_input``: of an output of a node without the API, whether each of its last messages has answered one that the
-    node had taken; None where nothing sees that.
+    node had taken; None where nothing sees that. ``kept_out``: without its gate, it would use intra-process
+    communication, which goes past one.
     """
 
     gate: GateState | None
@@ -166,6 +167,7 @@ class LinkState(WireValue, frozen=True, kw_only=True):
     inactive: float | None = None
     responses: MeasuredResponses | None = None
     by_input: bool | None = None
+    kept_out: bool = False
 
 
 class GoalCounts(WireValue, frozen=True, kw_only=True):

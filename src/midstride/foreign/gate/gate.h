@@ -190,6 +190,11 @@ void note_answer(const struct entry *output, const struct input *input);
 /* Note a message that the node has taken, if the manager wants to know. */
 void note_receipt(struct entry *entry, const struct message_info *info);
 
+/* -- what goes past the gate within the process (within.c) ------------------------------------------------------------- */
+
+/* This thread has created a publisher. */
+void note_created(const void *publisher);
+
 /* -- what is kept of publishers (publishers.c) ------------------------------------------------------------------------ */
 
 /* How many messages of a publisher are kept at most that were written behind the gate: of a latched one, as many as a

@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 11 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 12 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -36,6 +36,9 @@
 /* Of a port: what its endpoints are. NODE: it is no port, and names a ROS node of the process instead of a topic. */
 enum { UNUSED = 0, OUTPUT = 1, INPUT = 2, SERVER = 3, CLIENT = 4, NODE = 5 };
 enum { CLOSED = 0, OPEN = 1 };  /* of a port: gate */
+/* Of an output: what becomes of intra-process communication (within.c). KEEP_OUT: its publishers are not to take part;
+ * KEPT_OUT: one would have; TAKES_PART: one does. */
+enum { KEEP_OUT = 1, KEPT_OUT = 2, TAKES_PART = 4 };
 /* Of a node. LISTS: the library adds a port for each topic, open. NAMES_ONE: a `__node:=` that is for all nodes of the
  * process names the first of them alone. */
 enum { IN_USE = 1, LISTS = 2, NAMES_ONE = 4 };
@@ -68,7 +71,7 @@ struct port {
   _Atomic uint32_t falls;
   _Atomic uint64_t answers;
   _Atomic uint32_t recorded; /* of an input: whether what it receives is noted, in a file of the port beside the page */
-  uint32_t spare;
+  _Atomic uint32_t within; /* flags, as above */
   char topic[NAME]; /* its full name; of a server or a client, that of the service */
 };
 

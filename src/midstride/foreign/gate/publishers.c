@@ -172,8 +172,10 @@ EXPORT int rcl_publisher_init(void *publisher, const void *owner, const void *ty
     real_rcl_publisher_fini()(publisher, (void *)owner);
     return BAD_ALLOC;
   }
-  if (page && result == 0)
+  if (page && result == 0) {
     mark(publisher);
+    note_created(publisher);
+  }
   return result;
 }
 

@@ -13,8 +13,8 @@ static void *real(_Atomic(void *) *known, const char *name)
   found = dlsym(RTLD_NEXT, name);
   /* Else loaded by an extension module of Python, so not in the global scope. What it is linked with is searched, too: the
    * functions of the middleware are in a library of another name on each installation. */
-  static const char *const libraries[] = {"librcl.so", "librcl_action.so"};
-  for (unsigned index = 0; !found && index < 2; index++) {
+  static const char *const libraries[] = {"librcl.so", "librcl_action.so", "librclcpp.so"};
+  for (unsigned index = 0; !found && index < 3; index++) {
     void *handle = dlopen(libraries[index], RTLD_NOW | RTLD_NOLOAD);
     if (handle) {
       found = dlsym(handle, name);
@@ -26,11 +26,11 @@ static void *real(_Atomic(void *) *known, const char *name)
   return found;
 }
 
-#define REAL(result, name, ...)                                                                                          \
+#define REAL_CALLED(result, name, symbol, ...)                                                                           \
   result (*real_##name(void))(__VA_ARGS__)                                                                               \
   {                                                                                                                      \
     static _Atomic(void *) known;                                                                                        \
-    return (result(*)(__VA_ARGS__))real(&known, #name);                                                                  \
+    return (result(*)(__VA_ARGS__))real(&known, symbol);                                                                  \
   }
 
 #pragma GCC visibility push(hidden)

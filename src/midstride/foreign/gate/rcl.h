@@ -116,9 +116,10 @@ struct wait_set {
 /* What the library itself copies, it has from malloc. */
 extern const allocator heap;
 
-#ifndef REAL /* that of rcl.c defines them */
-#define REAL(result, name, ...) result (*real_##name(void))(__VA_ARGS__);
+#ifndef REAL_CALLED /* that of rcl.c defines them */
+#define REAL_CALLED(result, name, symbol, ...) result (*real_##name(void))(__VA_ARGS__);
 #endif
+#define REAL(result, name, ...) REAL_CALLED(result, name, #name, __VA_ARGS__)
 REAL(int, rcl_node_init, void *, const char *, const char *, void *, const void *)
 REAL(int, rcl_node_fini, void *)
 REAL(int, rcl_remap_node_name, const void *, const void *, const char *, allocator, char **)
@@ -164,5 +165,11 @@ REAL(int, rcl_trigger_guard_condition, const void *)
 REAL(int, rmw_serialize, const void *, const void *, void *)
 REAL(int, rmw_deserialize, const void *, const void *, void *)
 REAL(void, rcutils_reset_error, void)
+/* Of rclcpp: member functions of PublisherBase, and IntraProcessManager::remove_publisher. */
+#define SETUP_INTRA_PROCESS                                                                                              \
+  "_ZN6rclcpp13PublisherBase19setup_intra_processEmSt10shared_ptrINS_12experimental19IntraProcessManagerEE"
+REAL_CALLED(void, setup_intra_process, SETUP_INTRA_PROCESS, void *, uint64_t, void **)
+REAL_CALLED(const char *, publisher_get_topic_name, "_ZNK6rclcpp13PublisherBase14get_topic_nameEv", const void *)
+REAL_CALLED(void, remove_publisher, "_ZN6rclcpp12experimental19IntraProcessManager16remove_publisherEm", void *, uint64_t)
 
 #endif

@@ -97,6 +97,9 @@ class PortStatus(Report, frozen=True, kw_only=True):
         float | UnsetType | None, Meta(description="over which all of this is measured (s); null: nothing is")
     ] = UNSET
     fields: list[FieldStatus] | UnsetType = UNSET
+    kept_out: Annotated[
+        bool, Meta(description="it would use intra-process communication, which goes past a gate, without one")
+    ] = False
 
 
 class EndpointStatus(Report, frozen=True, kw_only=True):

@@ -251,6 +251,7 @@ def _port(
     exact: bool,
 ) -> PortStatus:
     gate, measured, samples = (None, None, {}) if link is None else (link.gate, link.measured, link.fields)
+    kept_out = link is not None and link.kept_out
     met = None if declared is None or measured is None else measured.meets(declared)
     refresh = refresh or link is None
     if exact:
@@ -259,6 +260,7 @@ def _port(
         found = rounded(measured)
     elif (
         shown.gate == gate
+        and shown.kept_out == kept_out
         and shown.declared == declared
         and shown.met == met
         and not (refresh and differ_noticeably(shown, measured))
@@ -282,6 +284,7 @@ def _port(
         longest=found.longest,
         window=(None if measured is None else measured.window) if exact else UNSET,
         fields=[FieldStatus(field=name, **structs.asdict(each)) for name, each in samples.items()] if exact else UNSET,
+        kept_out=kept_out,
     )
 
 

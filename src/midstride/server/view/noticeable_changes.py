@@ -12,7 +12,7 @@ from midstride.wire.state import ComponentState, LinkState
 _NO_LINKS: Final[dict[str, LinkState]] = {}
 # What is not measured: of a report, of the entry of a port, and of the entry of an instance but for its ports.
 _of_component = attrgetter("waiting", "node", "answers", "differences", "undeclared")
-_of_port = attrgetter("name", "topic", "gate", "declared", "met")
+_of_port = attrgetter("name", "topic", "gate", "declared", "met", "kept_out")
 _others = attrgetter(*(name for name in InstanceStatus.__struct_fields__ if name != "ports"))
 
 
@@ -43,7 +43,7 @@ def reports_differ_in_measurements_only(before: ComponentState | None, state: Co
             return False
         for topic, link in links.items():
             known = former.get(topic)
-            if known is None or known.gate != link.gate:
+            if known is None or known.gate != link.gate or known.kept_out != link.kept_out:
                 return False
     return bool(_of_component(before) == _of_component(state))
 
