@@ -1,7 +1,8 @@
 /* A server: `fake_server SERVICE`. It does what each line of its input says, and then writes a line: `take` takes a request,
  * `answer N` answers the one of that number (from 1), `wait MS` waits for requests for so long, as an executor does, of
  * which none comes, and `events` has a callback called for each instead. `fake_server SERVICE REQUESTS`: takes and answers
- * so many, and writes how much processor time one takes (ns); with a further argument, by the other function that takes. */
+ * so many, and writes how much processor time one takes (ns); with a further argument, by the other function that takes.
+ * It uses a copy of what rcl has initialized, as rclcpp does with the servers of a lifecycle node. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <stdio.h>
@@ -58,10 +59,11 @@ int main(int count, char **arguments)
 {
   static const void *const type[5] = {"of a test", NULL, NULL, "request", "response"};
   static const uint64_t options[16];
-  const char *service;
+  const char *made, *service;
   uint64_t request[16] = {0}, response[16] = {0};
   struct request_info info = {0};
-  rcl_service_init(&service, NULL, type, arguments[1], options);
+  rcl_service_init(&made, NULL, type, arguments[1], options);
+  service = made;
   if (count > 2) {
     long long requests = atoll(arguments[2]);
     struct timespec begun, used;

@@ -122,8 +122,8 @@ struct entry {
 };
 
 #define ENTRIES 256u
-/* Hashed by the address of the endpoint. Once this one is full there is a next one, which stays: `find_entry` takes no
- * lock. */
+/* Hashed by the address of the endpoint, of a server by that of what it points to (`server_key`). Once this one is full there
+ * is a next one, which stays: `find_entry` takes no lock. */
 struct table {
   struct entry entries[ENTRIES];
   _Atomic(struct table *) next;
@@ -143,6 +143,20 @@ extern unsigned used_count;
 
 /* NULL where the endpoint has no port. */
 struct entry *find_entry(const void *endpoint);
+/* What a server (rcl_service_t) is known by: what it points to. rclcpp has a copy of each that rcl makes itself, which is so
+ * of the servers of a lifecycle node. */
+static inline const void *server_key(const void *service)
+{
+  return service ? *(const void *const *)service : NULL;
+}
+static inline struct entry *keyed(const void *key)
+{
+  return key ? find_entry(key) : NULL;
+}
+static inline struct entry *find_server(const void *service)
+{
+  return keyed(server_key(service));
+}
 /* Where `topic` is a port of this node, or a service, remember the endpoint, and have the helper thread run. False where
  * there is no memory for that: the endpoint would have no gate. */
 bool add_entry(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type,

@@ -199,7 +199,7 @@ static uint32_t look_at_held(struct entry *entry, struct requests *requests)
   return waiting;
 }
 
-void look_at_server(struct entry *entry, const void *server)
+void look_at_server(struct entry *entry)
 {
   struct requests *requests = requests_of(entry->me);
   if (!requests)
@@ -208,8 +208,7 @@ void look_at_server(struct entry *entry, const void *server)
     cancel_all(entry);
   size_t clients = 0;
   if (atomic_load(&requests->shared) && real_rcl_count_clients()) {
-    const char *name = real_rcl_service_get_service_name()(server);
-    if (name && real_rcl_count_clients()(entry->owner, name, &clients) == 0)
+    if (real_rcl_count_clients()(entry->owner, entry->port->topic, &clients) == 0)
       used_ports[entry->used].matched += (uint32_t)clients;
     else
       real_rcutils_reset_error()();

@@ -61,7 +61,7 @@ static void look_at(struct entry *entry)
   if (!endpoint || endpoint == REMOVED)
     return;
   if (entry->port->kind == SERVER) {
-    look_at_server(entry, endpoint);
+    look_at_server(entry);
     return;
   }
   bool output = entry->port->kind == OUTPUT;

@@ -28,7 +28,7 @@ EXPORT int rcl_service_init(void *service, const void *owner, const void *type, 
   if (deeper.history == KEEP_LAST && deeper.depth < QUEUE)
     deeper.depth = QUEUE;
   int result = real_rcl_service_init()(service, owner, type, name, &deeper);
-  if (result == 0 && !add_entry(service, owner, real_rcl_service_get_service_name()(service), SERVER, request,
+  if (result == 0 && !add_entry(server_key(service), owner, real_rcl_service_get_service_name()(service), SERVER, request,
                                 ((const struct service_type *)type)->response)) {
     real_rcl_service_fini()(service, (void *)owner);
     return BAD_ALLOC;
@@ -38,14 +38,15 @@ EXPORT int rcl_service_init(void *service, const void *owner, const void *type, 
 
 EXPORT int rcl_service_fini(void *service, void *owner)
 {
-  remove_entry(service);
+  if (server_key(service))
+    remove_entry(server_key(service));
   return real_rcl_service_fini()(service, owner);
 }
 
 EXPORT int rcl_service_set_on_new_request_callback(const void *service, void (*callback)(const void *, size_t),
                                                    const void *context)
 {
-  struct entry *entry = find_entry(service);
+  struct entry *entry = find_server(service);
   if (entry) {
     pthread_mutex_lock(&lock);
     entry->callback = callback;
@@ -79,7 +80,7 @@ static int64_t arrival(int64_t by_the_middleware)
 /* Take a request with `real_take`, or one that was held. */
 static int take_request(const void *service, struct request_info *info, void *request, bool with_info)
 {
-  struct entry *entry = taking ? NULL : find_entry(service);
+  struct entry *entry = taking ? NULL : find_server(service);
   struct requests *requests = entry ? requests_of(entry->me) : NULL;
   end_input();
   if (requests && take_held(entry, requests, info, request))
@@ -165,7 +166,7 @@ static bool answer_kept(const struct entry *entry, const uint8_t *goal, void *re
 
 EXPORT int rcl_send_response(const void *service, struct request_id *id, void *response)
 {
-  struct entry *entry = find_entry(service);
+  struct entry *entry = find_server(service);
   if (entry && is_asked(id))
     return respond(entry, id, response);
   struct requests *requests = entry ? requests_of(entry->me) : NULL;

@@ -130,7 +130,7 @@ enum turn turn_with_held(struct requests *requests, const struct entry *entry, c
 /* Whether a server of the node has a request which it is to take that the middleware does not know of. With `lock`. */
 bool is_due(struct entry *entry);
 /* For the helper thread, with `lock`. */
-void look_at_server(struct entry *entry, const void *server);
+void look_at_server(struct entry *entry);
 
 /* -- executors that wait (waits.c) ------------------------------------------------------------------------------------ */
 

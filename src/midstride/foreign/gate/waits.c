@@ -32,9 +32,8 @@ void announce(struct entry *entry)
 }
 
 /* Since when no executor waits for requests to a server; 0: one begins to. */
-static void note_busy(const void *service, int64_t since)
+static void note_busy(struct entry *entry, int64_t since)
 {
-  struct entry *entry = service ? find_entry(service) : NULL;
   if (entry && !entry->callback)
     atomic_store_explicit(&entry->port->busy, since, memory_order_relaxed);
 }
@@ -46,19 +45,22 @@ EXPORT int rcl_wait(struct wait_set *set, int64_t timeout)
   if (!page || !set || !set->impl || !set->service_count)
     return real_rcl_wait()(set, timeout);
   for (size_t index = 0; index < set->service_count; index++)
-    note_busy(set->services[index], 0);
+    note_busy(find_server(set->services[index]), 0);
   if (set->service_count > ENTRIES)
     return real_rcl_wait()(set, timeout);
   const void *services[ENTRIES];
   size_t count = set->service_count;
   memcpy(services, set->services, count * sizeof *services);
+  const void *keys[ENTRIES]; /* a server may be gone after the wait */
+  for (size_t index = 0; index < count; index++)
+    keys[index] = server_key(services[index]);
   struct waiting own = {0};
   for (size_t index = 0; index < set->guard_count && !own.guard; index++)
     own.guard = set->guards[index];
   bool shortened = false;
   pthread_mutex_lock(&lock);
   for (size_t index = 0; index < count; index++) {
-    struct entry *entry = services[index] ? find_entry(services[index]) : NULL;
+    struct entry *entry = keyed(keys[index]);
     if (is_due(entry))
       timeout = 0;
     else if (entry && atomic_load(&entry->holding))
@@ -72,7 +74,7 @@ EXPORT int rcl_wait(struct wait_set *set, int64_t timeout)
   int result = real_rcl_wait()(set, timeout);
   int64_t now = now_ns();
   for (size_t index = 0; index < count; index++)
-    note_busy(services[index], now);
+    note_busy(keyed(keys[index]), now);
   pthread_mutex_lock(&lock);
   struct waiting **place = &waits;
   while (*place != &own)
@@ -80,7 +82,7 @@ EXPORT int rcl_wait(struct wait_set *set, int64_t timeout)
   *place = own.next;
   bool ready = false;
   for (size_t index = 0; index < count && (result == 0 || result == TIMED_OUT); index++) {
-    struct entry *entry = services[index] && !set->services[index] ? find_entry(services[index]) : NULL;
+    struct entry *entry = set->services[index] ? NULL : keyed(keys[index]);
     /* A shortened wait has not timed out for its caller, who takes, finds no request, and waits again. */
     if (is_due(entry) || (entry && shortened && result == TIMED_OUT && atomic_load(&entry->holding))) {
       set->services[index] = services[index];
