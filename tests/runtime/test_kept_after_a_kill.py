@@ -247,6 +247,8 @@ def test_a_process_imports_once_what_takes_longer_than_its_manager_lives(later: 
         await second.up()
         await asyncio.sleep(5)
         assert not any("did not restore its state" in event.words for event in second.log())
+        [note] = [event.words for event in second.log() if "has the state of" in event.words]
+        assert note == "talker_2 has the state of talker, which was exported before the last manager ended"
         assert len(imports("talker_2")) == 1
         assert await last_said(simulator) == "imported 1 times"
         assert disk.saved(workspace).exported == {}

@@ -81,6 +81,22 @@ def test_a_process_is_started_as_its_command_says_and_welcomed(tmp_path: Path) -
     bench(NOTHING, tmp_path, body)
 
 
+def test_the_wait_for_the_first_of_several_processes_leaves_no_wait_for_the_others(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        rear = changed(CAMERA, name="rear/camera", role="rear/camera")
+        for each in (CAMERA, rear):
+            await b.launcher.start(each)
+        before = asyncio.all_tasks()
+        first = asyncio.ensure_future(b.launcher.first_decided([CAMERA.name, rear.name], 60.0))
+        await asyncio.sleep(1)
+        b.client.register(rear)
+        assert await first == rear.name
+        await asyncio.sleep(0)
+        assert asyncio.all_tasks() <= before
+
+    bench(NOTHING, tmp_path, body)
+
+
 @pytest.mark.parametrize(("stopping", "grace"), [(0.0, STOP_GRACE), (12.0, 12.0)])
 def test_a_component_has_the_time_to_end_that_it_asks_for(stopping: float, grace: float, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:

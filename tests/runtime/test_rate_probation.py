@@ -107,6 +107,19 @@ def test_what_is_slow_or_comes_in_bursts_or_stalls_is_refused(before: str, tmp_p
     assert outcome.seconds < 8
 
 
+def test_the_time_that_is_noted_of_a_hand_over_is_without_the_probation(tmp_path: Path) -> None:
+    """The probation is stated, and added to what is estimated from it."""
+
+    async def body(manager: Manager, simulator: Simulator) -> float:
+        manager.system.specification = replace(manager.specification, timing=Map(TIMING))
+        await settle()
+        outcome = await exchanged(manager)
+        assert outcome.outcome == "done" and outcome.seconds > 1.0
+        return manager._journal.estimates["handover"].seconds
+
+    assert counting(system(tmp_path, program(), program(), out=20), body) < 0.7
+
+
 def test_a_rate_is_asked_for_also_where_the_specification_does_not_say_for_how_long(tmp_path: Path) -> None:
     outcome, _, instances, _ = changed(tmp_path, program(SLOW), {})
     assert outcome.outcome == "rolled_back"
