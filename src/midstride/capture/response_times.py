@@ -38,7 +38,7 @@ class MeasuredAnswers:
 
 
 def measured_answers(took: Sequence[float]) -> MeasuredAnswers | None:
-    """What these times (s) say; None if they are too few."""
+    """Summarize these times (s); None if they are too few."""
     ordered = sorted(took)
     if len(ordered) < FEWEST:
         return None

@@ -1,4 +1,4 @@
-"""That the proofs about topics hold of services and ROS actions: these are topics with a cap of 1, of another kind.
+"""The proofs about topics carried over to services and ROS actions: these are topics with a cap of 1, of another kind.
 
 F1 and `fit` (:mod:`.goals`) preserve what is assumed here: a valid configuration, and attached ports that fit.
 """
