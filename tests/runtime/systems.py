@@ -15,6 +15,8 @@ from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.change.runtime_verification import Verifier
 from midstride.runtime.manager import Manager
+from midstride.runtime.options import NO_OPTIONS, SystemOptions
+from midstride.runtime.records.reports import UpReport
 from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.channel import Channel, result_of
@@ -166,3 +168,25 @@ async def snapshot(manager: Manager, simulator: Simulator) -> dict[str, Any]:
         "configuration": manager.configuration,
         "specification": manager.specification,
     }
+
+
+def up(
+    specification: Specification,
+    folder: Path,
+    programs: Path,
+    body: Callable[[Manager, Simulator, UpReport], Awaitable[None]],
+    options: SystemOptions = NO_OPTIONS,
+    prepare: Callable[[Simulator], None] = lambda _: None,
+) -> None:
+    """Bring the system up in virtual time, and run ``body`` with what that reported."""
+    simulator = Simulator()
+
+    async def main() -> None:
+        manager = Manager(specification, simulator, Workspace(folder), programs, options=options)
+        prepare(simulator)
+        try:
+            await body(manager, simulator, await manager.up())
+        finally:
+            await manager.close()
+
+    simulator.run(main())

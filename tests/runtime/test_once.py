@@ -17,12 +17,12 @@ from midstride.model.respawn import RespawnPolicy
 from midstride.model.specification import Node, Order, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.options import NO_OPTIONS, SystemOptions
+from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.launcher import ONCE_TIMEOUT
 from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
 from tests.planting import plant
-from tests.runtime.systems import example, rewritten, saved
+from tests.runtime.systems import example, rewritten, saved, up
 
 # Says in a file that it runs, and with which argument.
 PROGRAM = """
@@ -62,27 +62,6 @@ def system(programs: Path, component: ComponentSpec | None = None, node: Node | 
 
 def with_setup(specification: Specification, argument: str) -> Specification:
     return changed(specification, components=specification.components.set("Setup", setup(argument)))
-
-
-def up(
-    specification: Specification,
-    folder: Path,
-    programs: Path,
-    body: Body,
-    options: SystemOptions = NO_OPTIONS,
-    prepare: Callable[[Simulator], None] = lambda _: None,
-) -> None:
-    simulator = Simulator()
-
-    async def main() -> None:
-        manager = Manager(specification, simulator, Workspace(folder), programs, options=options)
-        prepare(simulator)
-        try:
-            await body(manager, simulator, await manager.up())
-        finally:
-            await manager.close()
-
-    simulator.run(main())
 
 
 def steps(manager: Manager) -> list[str]:

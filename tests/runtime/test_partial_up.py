@@ -16,11 +16,11 @@ from midstride.model.respawn import RespawnPolicy
 from midstride.model.specification import Keep, Limit, Order, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
-from midstride.runtime.options import NO_OPTIONS, SystemOptions
+from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.launcher import REGISTRATION_TIMEOUT
 from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
-from tests.runtime.systems import EXAMPLES, example, replace, rewritten, saved
+from tests.runtime.systems import EXAMPLES, example, replace, rewritten, saved, up
 
 BROKEN = "raise RuntimeError('no camera')\n"
 # Runs, and never registers.
@@ -28,28 +28,6 @@ HANGS = "import time\nwhile True:\n    time.sleep(1)\n"
 REASON = "talker exited with status 1 before it registered: RuntimeError: no camera"
 
 Body = Callable[[Manager, Simulator, UpReport], Awaitable[None]]
-
-
-def up(
-    specification: Specification,
-    folder: Path,
-    programs: Path,
-    body: Body,
-    options: SystemOptions = NO_OPTIONS,
-    prepare: Callable[[Simulator], None] = lambda _: None,
-) -> None:
-    """Bring the system up in virtual time, and run ``body`` with what that reported."""
-    simulator = Simulator()
-
-    async def main() -> None:
-        manager = Manager(specification, simulator, Workspace(folder), programs, options=options)
-        prepare(simulator)
-        try:
-            await body(manager, simulator, await manager.up())
-        finally:
-            await manager.close()
-
-    simulator.run(main())
 
 
 @pytest.fixture
