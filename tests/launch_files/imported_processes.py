@@ -10,7 +10,7 @@ from typing import Any
 
 from midstride.errors import SpecificationError
 from midstride.lang import load
-from midstride.launch_files.launch_import import Imported, import_launch_file, parameter_file_beside
+from midstride.launch_files.launch_import import Imported, import_launch_file
 from midstride.model.specification import Specification
 from tests.launch_files.launched_processes import (
     DEFAULT_LIMIT,
@@ -32,8 +32,8 @@ def processes(path: Path, arguments: Mapping[str, str], environment: Mapping[str
     target = folder / f"{path.name}.stride"
     imported = import_launch_file(path, arguments, environment, target, run_python=True, run_commands=True)
     target.write_text(imported.text, encoding="utf-8")
-    if imported.parameters is not None:
-        parameter_file_beside(target).write_text(imported.parameters, encoding="utf-8")
+    for name, text in imported.parameter_files.items():
+        (folder / name).write_text(text, encoding="utf-8")
     loaded = load(target)
     assert [str(each) for each in loaded.diagnostics if each.severity == "error"] == [], imported.text
     system = loaded.require()

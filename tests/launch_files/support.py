@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from midstride.lang import format_text, load
-from midstride.launch_files.launch_import import Imported, import_launch_file, parameter_file_beside
+from midstride.launch_files.launch_import import Imported, import_launch_file
 from midstride.model.specification import Specification
 
 
@@ -21,8 +21,8 @@ def imported(path: Path, arguments: Mapping[str, str] | None = None, **environme
 def specification(found: Imported, folder: Path) -> Specification:
     file = folder / "imported.stride"
     file.write_text(found.text, encoding="utf-8")
-    if found.parameters is not None:
-        parameter_file_beside(file).write_text(found.parameters, encoding="utf-8")
+    for name, text in found.parameter_files.items():
+        (folder / name).write_text(text, encoding="utf-8")
     loaded = load(file)
     assert [str(each) for each in loaded.diagnostics if each.severity == "error"] == []
     return loaded.require()

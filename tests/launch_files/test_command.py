@@ -47,7 +47,7 @@ def test_json(launch: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["import", str(launch), "--json"]) == 3
     document = json.loads(capsys.readouterr().out)
     assert document["nodes"] == 0 and document["counts"] == {"argument": 2, "package": 1}
-    assert document["left_out"] == {"argument": 2} and document["parameter_file"] is None
+    assert document["left_out"] == {"argument": 2} and document["parameter_files"] == []
     assert document["findings"][0] == {
         "kind": "argument",
         "message": "`who` has no value and no default; pass `who:=…`",
@@ -72,10 +72,10 @@ def test_what_is_left_out_is_counted_at_the_end_and_gives_an_exit_status(
     launch.write_text(text)
     assert main(["import", str(launch), "who:=me", "-o", "robot.stride"]) == 3
     assert capsys.readouterr().err.splitlines()[-1] == "Left out: 1 unsupported"
-    assert Path("robot.parameters.yaml").read_text() == f"/b:\n  ros__parameters:\n    x-1: {'y' * 9000}\n"
+    assert Path("robot.parameters.b.yaml").read_text() == f"/**:\n  ros__parameters:\n    x-1: {'y' * 9000}\n"
     Path("robot.stride").unlink()
     assert main(["import", str(launch), "who:=me", "-o", "robot.stride"]) == 1
-    assert "robot.parameters.yaml exists" in capsys.readouterr().err and not Path("robot.stride").exists()
+    assert "robot.parameters.b.yaml exists" in capsys.readouterr().err and not Path("robot.stride").exists()
 
 
 def test_commands_are_carried_out_by_an_option(launch: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -677,20 +677,42 @@ def test_a_value_that_launch_gives_to_all_nodes_of_a_process_is_for_all(tmp_path
         assert of_other.get("/**") == other, body
 
 
-def test_a_value_for_all_that_the_language_cannot_state_is_named_where_there_may_be_further_nodes(
-    tmp_path: Path,
-) -> None:
+def test_a_value_for_all_that_the_language_cannot_state_is_in_a_file_for_all(tmp_path: Path) -> None:
     (tmp_path / "two.yaml").write_text("inner: {ros__parameters: {width: 3}}\n")
-    file = '<param from="$(dirname)/two.yaml"/>'
-    long = '<param name="joint-1" value="7.0"/>'
-    (finding,) = of_xml(tmp_path, f'<node exec="./two" name="two">{file}{long}</node>').findings
-    assert "launch gives `joint-1` to all nodes of the process of `two`" in finding.message and not finding.left_out
-    assert "if `inner` is in this process" in finding.message
-    for body in (
-        f'<node exec="./two" name="two">{long}</node>',
-        f'<node exec="./two" name="two">{file}{long}</node><node exec="./b" name="inner"/>',
+    (tmp_path / "all.yaml").write_text("/**: {ros__parameters: {joint-1: 1.0, rate: 2.0}}\n")
+    file, every = ('<param from="$(dirname)/NAME.yaml"/>'.replace("NAME", name) for name in ("two", "all"))
+    odd, text = '<param name="joint-1" value="7.0"/>', '<param name="text" value="$(var v)" type="str"/>'
+    for body, own, of_others in (
+        (file + odd, {"joint-1": 7.0}, {"joint-1": 7.0}),
+        (odd + every, {"joint-1": 1.0, "rate": 2.0}, {"joint-1": 1.0, "rate": 2.0}),
+        (every + odd, {"joint-1": 7.0, "rate": 2.0}, {"joint-1": 7.0, "rate": 2.0}),
+        (text, {"text": "x" * 9000}, {"text": "x" * 9000}),
     ):
-        assert "all nodes of the process" not in str([str(each) for each in of_xml(tmp_path, body).findings]), body
+        found = of_xml(tmp_path, f'<node exec="./two" name="two">{body}</node>', {"v": "x" * 9000})
+        assert kinds(found) == ["argument"] * ("text" not in body), [str(each) for each in found.findings]
+        system = specification(found, tmp_path)
+        assert dict(system.instance("two").parameters) == own, body
+        inner: dict[str, object] = {}
+        for section in system.nodes["two"].sections:
+            inner |= dict(section.parameters) if section.matches("other") else {}
+        assert inner == of_others, body
+
+
+def test_a_value_for_all_of_another_type_than_that_of_the_node_is_in_a_file_for_all(tmp_path: Path) -> None:
+    inner = "inner: {ros__parameters: {width: 3}}"
+    (tmp_path / "own.yaml").write_text(f"two: {{ros__parameters: {{rate: 3}}}}\n{inner}\n")
+    rate = '<param name="rate" value="1.5"/>'
+    found = of_xml(tmp_path, f'<node exec="./two" name="two">{rate}<param from="$(dirname)/own.yaml"/></node>')
+    assert kinds(found) == []
+    system = specification(found, tmp_path)
+    assert dict(system.instance("two").parameters) == {"rate": 3}
+    (of_all,) = (section for section in system.nodes["two"].sections if section.pattern == "/**")
+    assert dict(of_all.parameters) == {"rate": 1.5}
+    printed = import_launch_file(tmp_path / "robot.launch.xml", {}, {}, None)  # nothing is written beside it
+    (finding,) = printed.findings
+    assert printed.parameter_files == {} and "1.5" not in printed.text
+    assert "launch gives `rate` to all nodes of the process of `two`" in finding.message and not finding.left_out
+    assert "if `inner` is in this process" in finding.message
 
 
 def test_links_of_a_sourced_workspace_are_followed(tmp_path: Path) -> None:
@@ -732,7 +754,7 @@ def test_commands_are_run_only_if_the_user_says_so(tmp_path: Path) -> None:
     assert failed.kind == "command" and "has failed: exit status 3: no luck" in failed.message
     parameters = dict(specification(found, tmp_path).instance("a").parameters)
     assert parameters == {"robot_description": (tmp_path / "robot.xml").read_text(), "warned": "x"}
-    assert 'parameters "imported.parameters.yaml"' in found.text
+    assert 'parameters "imported.parameters.a.yaml"' in found.text
 
 
 def test_what_is_started_later_follows_the_others(tmp_path: Path) -> None:

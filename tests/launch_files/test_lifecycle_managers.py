@@ -48,10 +48,13 @@ def test_a_manager_goes_on_with_its_nodes_unless_something_else_is_asked_for(tmp
     assert said == (
         "`lifecycle_manager_navigation` manages the lifecycle of `controller_server`, `planner_server`, "
         "`bt_navigator`, and goes on with it; it has a bond with each and deactivates all when one breaks, so none can "
-        "be replaced while it runs; with `--lifecycle midstride`, Midstride manages them, without it"
+        "be replaced while it runs, unless it has none: state `bond_timeout = 0.0` then; with `--lifecycle midstride`, "
+        "Midstride manages them, without it"
     )
     _, _, (said,) = of(tmp_path, NODES + manager('<param name="bond_timeout" value="0.0"/>'))
     assert "bond" not in said
+    _, _, (said,) = of(tmp_path, NODES + manager('<param name="bond_timeout" value="4.0"/>'))
+    assert "it has a bond with each" in said and "unless" not in said
 
 
 def test_where_midstride_is_asked_for_the_manager_is_left_out_and_its_order_is_kept(tmp_path: Path) -> None:

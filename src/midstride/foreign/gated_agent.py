@@ -207,14 +207,18 @@ class ForeignAgent:
         return "; ".join(self._servers.differences(served())) or None
 
     async def _not_up(self) -> str | None:
-        """Wait until a node without ports has taken the place of the one that it replaces; why it has not.
+        """Wait until a node without ports is up, and has taken the place of the one that it replaces; why it has not.
 
-        Of one that the graph does not show, such as a program without ROS, it is only known that its process runs.
+        Of one that the graph does not show, such as a program without ROS, it is only known that its process runs, for
+        as long as was waited.
         """
         record, graph = self.node.record, self._graph
-        if graph is None or record.predecessor is None or record.welcomed:
+        if graph is None or record.welcomed:
             return None
         old, before, longest = record.predecessor, self._before, endpoints_seconds(self.node.component)
+        if old is None:
+            await self.node.comes_true(lambda: bool(graph()), SETTLED, every=WATCH)
+            return None
         up = await self.node.comes_true(
             lambda: bool(found := graph()) and not lacks(found, record.node, before, old),
             longest if before else SETTLED,

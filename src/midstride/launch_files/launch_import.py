@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from midstride.errors import SpecificationError
@@ -17,25 +17,23 @@ from midstride.launch_files.interpreter import Interpreter
 from midstride.launch_files.launched_containers import Containers, split_containers
 from midstride.launch_files.launched_parameters import ParameterReader
 from midstride.launch_files.packages import Packages
-from midstride.launch_files.writer import SpecificationDraft, parameter_file_beside, system_name
+from midstride.launch_files.writer import SpecificationDraft, system_name
 from midstride.model.lifecycle_management import Management
-
-__all__ = ["Imported", "import_launch_file", "parameter_file_beside"]
 
 
 @dataclass(frozen=True, slots=True)
 class Imported:
     """A specification, how many nodes it has, how many launch files were read, and what was left out or assumed.
 
-    ``parameters``: the text of a parameter file beside the specification, which names it, for what the language cannot
-    state; None if there is none.
+    ``parameter_files``: the texts of parameter files beside the specification, which names them, for what the language
+    cannot state, by their names.
     """
 
     text: str
     nodes: int
     files: int
     findings: ImportFindings
-    parameters: str | None = None
+    parameter_files: Mapping[str, str] = field(default_factory=dict)
 
 
 def import_launch_file(
@@ -73,4 +71,4 @@ def import_launch_file(
     reader = ParameterReader(files, findings, bounds.contain)
     draft = SpecificationDraft(system_name(absolute), interpreter.system, reader, findings, target, management)
     text = draft.text(path.name)
-    return Imported(text, len(interpreter.system.nodes), interpreter.system.files, findings, draft.parameter_file)
+    return Imported(text, draft.nodes, interpreter.system.files, findings, draft.parameter_files)

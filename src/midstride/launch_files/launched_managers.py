@@ -9,7 +9,7 @@ from itertools import pairwise
 from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_nodes import LaunchedNode
 from midstride.launch_files.launched_parameters import LaunchedParameters
-from midstride.model.lifecycle_management import AUTOSTART, Management, has_bonds, managed_nodes
+from midstride.model.lifecycle_management import AUTOSTART, BOND_TIMEOUT, Management, has_bonds, managed_nodes
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +77,8 @@ def _words(
         others = ", ".join(f"`{role}`" for role in away)
         yield f"it manages {others} as well, which {'is' if len(away) == 1 else 'are'} not here"
     if has_bonds(parameters):
-        yield "it has a bond with each and deactivates all when one breaks, so none can be replaced while it runs"
+        unless = "" if BOND_TIMEOUT in parameters else f", unless it has none: state `{BOND_TIMEOUT} = 0.0` then"
+        what = "it has a bond with each and deactivates all when one breaks, so none can be replaced while it runs"
+        yield f"{what}{unless}"
     if not away:
         yield "with `--lifecycle midstride`, Midstride manages them, without it"

@@ -23,7 +23,7 @@ from midstride.launch_files.launched_nodes import LaunchedNode
 from midstride.model.component import ROS_PARAMETERS, ParameterValue
 
 # The section of all nodes of a process.
-_ALL: Final = "/**"
+FOR_ALL: Final = "/**"
 # What rcl takes for the name of a parameter in `-p NAME:=VALUE`.
 _RULE: Final = re.compile(r"(?:(?P<node>[A-Za-z_/~*][\w/~*]*):)?(?P<name>[A-Za-z_][\w./]*):=(?P<value>.*)", re.DOTALL)
 
@@ -65,7 +65,7 @@ class ParameterReader:
         self._files = files
         self._findings = findings
         self._may_name = may_name
-        self._sections: dict[tuple[str, str | None], _Read | None] = {}
+        self._sections: dict[tuple[str, str | None], _Read | str] = {}
         self._files_read: dict[str, tuple[Span, list[SectionInFile], bool]] = {}
         # By node: what launch gives to its process.
         self._given: dict[str, list[tuple[ParametersGiven, _Read]]] = {}
@@ -107,8 +107,7 @@ class ParameterReader:
         """The files that are named and the values for all nodes of the process, in their order; what the node has of
         these, since of statements of the language the later one wins.
 
-        Values for all nodes are not among them for a node without a name, whose own ones are for all, and for the time;
-        nor those of another type than the node's own, which the language has not.
+        Values for all nodes are not among them for a node without a name, whose own ones are for all, and for the time.
         """
         for_all: list[dict[str, ParameterValue]] = []
         last: dict[str, int] = {}
@@ -119,10 +118,7 @@ class ParameterReader:
                     name: value.value
                     for section in sections
                     for name, value in section.values.items()
-                    if section.pattern == _ALL
-                    and name not in ROS_PARAMETERS
-                    and name in effective
-                    and _type_of(value.value) == _type_of(effective[name])
+                    if section.pattern == FOR_ALL and name not in ROS_PARAMETERS and name in effective
                 }
             )
             last |= dict.fromkeys(for_all[-1], number)
@@ -212,7 +208,7 @@ class ParameterReader:
             for each, found in given
             if not self._is_named(each)
             for section in found.sections
-            if section.pattern == _ALL
+            if section.pattern == FOR_ALL
             for name in section.values
         }
         of_files = {each.path: found for each, found in given if self._is_named(each)}
@@ -254,7 +250,11 @@ class ParameterReader:
         key = given.path or "", given.text
         if key not in self._sections:
             self._sections[key] = self._of_file(given)
-        return self._sections[key]
+        found = self._sections[key]
+        if isinstance(found, str):
+            self._findings.add("parameters", f"{found} (of `{node.role}`)", given.span)
+            return None
+        return found
 
     def _of_rule(self, rule: str, span: Span, node: LaunchedNode) -> _Read | None:
         match = _RULE.fullmatch(rule)
@@ -273,7 +273,8 @@ class ParameterReader:
         self._findings.add("parameters", message, span)
         return None
 
-    def _of_file(self, given: ParametersGiven) -> _Read | None:
+    def _of_file(self, given: ParametersGiven) -> _Read | str:
+        """What is read of a file, or why it is left out, in words."""
         name = "parameters" if given.path is None else os.path.basename(given.path)
         if given.text is not None:
             source = Source(name, given.text)
@@ -282,16 +283,18 @@ class ParameterReader:
             try:
                 source = self._files.source(given.path, ".yaml", ".yml")
             except UnknownValue as error:
-                self._findings.add("parameters", f"the parameter file `{name}` is left out: {error}", given.span)
-                return None
+                return f"the parameter file `{name}` is left out: {error}"
         reporter = Reporter()
         sections = read_sections(source, reporter)
         if sections is not None:
             return _Read(source, sections)
+        refused = reporter.found[0]
         if given.path is None:
-            message = "parameters are left out: ROS refuses the file that launch writes for them"
+            message = (
+                f"the file that launch writes is left out, as ROS refuses it, and no node starts: {refused.message}"
+            )
         else:
-            line = reporter.found[0].position[0]
+            line = refused.position[0]
             message = f"`{name}` is left out: line {line} is not of a parameter file that can be read"
         self._findings.add("parameters", message, given.span)
         return None
@@ -307,8 +310,8 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 def _for_all(values: Mapping[str, ParameterValue], span: Span) -> _Read:
     """The equivalent of a parameter file with values for all nodes."""
-    section = SectionInFile(_ALL, span, {name: ParameterValueAt(value, span) for name, value in values.items()})
-    return _Read(Source("parameters", written_file(_ALL, values)), [section])
+    section = SectionInFile(FOR_ALL, span, {name: ParameterValueAt(value, span) for name, value in values.items()})
+    return _Read(Source("parameters", written_file(FOR_ALL, values)), [section])
 
 
 def _overlap(parts: Sequence[SectionInFile]) -> bool:
@@ -322,7 +325,7 @@ def _overlap(parts: Sequence[SectionInFile]) -> bool:
     return False
 
 
-def _type_of(value: ParameterValue) -> tuple[type, ...]:
+def type_of(value: ParameterValue) -> tuple[type, ...]:
     return (list, *{type(each) for each in value}) if isinstance(value, list) else (type(value),)
 
 

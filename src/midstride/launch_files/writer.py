@@ -19,7 +19,13 @@ from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_managers import with_one_manager
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
-from midstride.launch_files.launched_parameters import LaunchedParameters, ParameterReader, written_file
+from midstride.launch_files.launched_parameters import (
+    FOR_ALL,
+    LaunchedParameters,
+    ParameterReader,
+    type_of,
+    written_file,
+)
 from midstride.model.component import DEFAULT_CONTAINER, ParameterValue
 from midstride.model.component_rules import MAX_NUMBER
 from midstride.model.lifecycle_management import Management
@@ -36,8 +42,8 @@ _VARIABLE: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 class SpecificationDraft:
     """The specification of what was launched, to be written to ``target`` (None: to no file).
 
-    ``parameter_file``: the text of the parameter file that it names, for what the language cannot state, if there is
-    one, once :meth:`text` has been called.
+    Once :meth:`text` has been called: ``nodes``, how many it has, and ``parameter_files``, the texts of the parameter
+    files that it names for what the language cannot state, by their names.
     """
 
     def __init__(
@@ -58,7 +64,8 @@ class SpecificationDraft:
         self._folder = Path() if target is None else target.parent
         self._beside: dict[str, dict[str, ParameterValue]] = {}
         self._named: set[str] = set()
-        self.parameter_file: str | None = None
+        self.nodes = 0
+        self.parameter_files: dict[str, str] = {}
 
     def text(self, imported_from: str) -> str:
         """The specification. Paths in it are relative to its folder."""
@@ -66,6 +73,7 @@ class SpecificationDraft:
         parameters = {node.role: self._reader.parameters(node) for node in nodes}
         lifecycle = with_one_manager(nodes, parameters, self._management, self._findings)
         nodes = lifecycle.nodes
+        self.nodes = len(nodes)
         self._reader.note_other_sections(nodes)
         bodies = {node.role: self._body(node, parameters[node.role], nodes) for node in nodes}
         names = _component_names(nodes, bodies)
@@ -89,9 +97,9 @@ class SpecificationDraft:
         lines += self._order(nodes)
         lines += [f"order {_path(one)} before {_path(other)}" for one, other in lifecycle.orders]
         if self._beside:
-            self.parameter_file = "".join(
-                written_file(f"/{role}", values) for role, values in sorted(self._beside.items())
-            )
+            assert self._target is not None
+            sections = (written_file(f"/{role}", values) for role, values in sorted(self._beside.items()))
+            self.parameter_files[_beside(self._target)] = "".join(sections)
         formatted = format_text("\n".join(lines))
         assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
         return formatted.text
@@ -146,15 +154,29 @@ class SpecificationDraft:
                 lines.append(f"parameters {quoted(os.path.relpath(statement, self._folder))}")
                 written.append(statement)
             else:
-                for_all, long = self._separated(node, statement)
+                # A component has one type for each parameter.
+                alike = {each for each in statement if type_of(statement[each]) == type_of(parameters.effective[each])}
+                others = {} if self._target is None else {name: statement[name] for name in statement.keys() - alike}
+                for_all, long = self._separated(node, {name: statement[name] for name in statement if name in alike})
                 lines += ["parameters for all {", *for_all, "}"] if for_all else []
-                beside |= {name: parameters.effective[name] for name in long}
-                written.append({name: value for name, value in statement.items() if name not in long})
+                lines += self._file_for_all(node, others | long) if others or long else []
+                own = {name: value for name, value in parameters.replaced.items() if name in long}
+                beside |= self._separated(node, own)[1]
+                written.append({name: statement[name] for name in statement if name in alike or name in others})
         if beside and self._target is not None:
-            lines.append(f"parameters {quoted(parameter_file_beside(self._target).name)}")
+            lines.append(f"parameters {quoted(_beside(self._target))}")
             self._beside.setdefault(node.role, {}).update(beside)
         self._reader.note_values_for_all(node, written, nodes)
         return [*lines, "parameters {", *stated, "}"] if stated else lines
+
+    def _file_for_all(self, node: LaunchedNode, values: Mapping[str, ParameterValue]) -> Iterator[str]:
+        """The statement of a parameter file with ``values`` for all nodes of the process of ``node``, for it alone."""
+        assert self._target is not None
+        role = node.role.replace("/", ".")
+        names = (_beside(self._target, f".{role}{number}") for number in ("", *map(str, range(2, 1000))))
+        name = next(name for name in names if name not in self.parameter_files)
+        self.parameter_files[name] = written_file(FOR_ALL, values)
+        yield f"parameters {quoted(name)}"
 
     def _environment(self, node: LaunchedNode) -> Iterator[str]:
         variables = []
@@ -230,6 +252,8 @@ class SpecificationDraft:
             if node.later:
                 message = f"`{node.role}` is started {node.later} in launch, here once those before it have registered"
                 message = f"{message}; if it needs their messages, assume them as inputs"
+                if math.isinf(node.at):
+                    message = f"{message}; if that program has done its work when it ends, state it `once`"
                 self._findings.add("later", message, node.span, left_out=False)
 
 
@@ -241,9 +265,9 @@ def _path(node: LaunchedNode) -> str:
     return f"/{node.role}"
 
 
-def parameter_file_beside(target: Path) -> Path:
-    """The parameter file that a specification names for what the language cannot state."""
-    return target.with_name(f"{target.stem}.parameters.yaml")
+def _beside(target: Path, whose: str = "") -> str:
+    """The name of a parameter file that a specification names for what the language cannot state."""
+    return f"{target.stem}.parameters{whose}.yaml"
 
 
 def system_name(path: str) -> str:

@@ -42,12 +42,16 @@ def bond_timeout(parameters: Mapping[str, object]) -> float | None:
     return timeout if isinstance(timeout, float | int) else None
 
 
-def broken_bond(node: str, manager: str, timeout: float | None) -> str:
-    """Say why ``node`` must not end while ``manager`` (both full names) has a bond with it of ``timeout`` (s)."""
+def broken_bond(node: str, manager: str, timeout: float | None, is_assumed: bool = False) -> str:
+    """Say why ``node`` must not end while ``manager`` (both full names) has a bond with it of ``timeout`` (s).
+
+    ``is_assumed``: the bond is that of Nav2's manager, as nothing is stated for this one.
+    """
     seconds = "" if timeout is None else f" of {timeout:g} s"
+    unless = f"; if it has none, as it is not Nav2's, state `{BOND_TIMEOUT} = 0.0` for it" if is_assumed else ""
     return (
         f"lifecycle manager {manager} has a bond{seconds} with {node}, which another process cannot continue, and "
-        "deactivates all of its nodes when it breaks"
+        f"deactivates all of its nodes when it breaks{unless}"
     )
 
 

@@ -12,6 +12,7 @@ from midstride.model.action import Remove
 from midstride.model.configuration import Configuration
 from midstride.model.instance_names import full_name
 from midstride.model.lifecycle_management import (
+    BOND_TIMEOUT,
     NODE_NAMES,
     bond_timeout,
     broken_bond,
@@ -53,4 +54,5 @@ def _bonds(configuration: Configuration, instance: str) -> Iterator[tuple[str, s
         if NODE_NAMES not in values or manager.name == instance or not has_bonds(values):
             continue
         if name in managed_nodes(full_name(manager.role), values):
-            yield manager.name, broken_bond(name, full_name(manager.role), bond_timeout(values))
+            is_assumed = BOND_TIMEOUT not in values
+            yield manager.name, broken_bond(name, full_name(manager.role), bond_timeout(values), is_assumed)

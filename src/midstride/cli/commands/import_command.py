@@ -10,7 +10,7 @@ import click
 
 from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import json_option, print_json, stride_output, wants_json
-from midstride.launch_files.launch_import import Imported, import_launch_file, parameter_file_beside
+from midstride.launch_files.launch_import import Imported, import_launch_file
 from midstride.launch_files.launched_containers import CONTAINERS, Containers
 from midstride.model.lifecycle_management import MANAGEMENTS, Management
 from midstride.model.wording import counted
@@ -59,22 +59,23 @@ def import_command(
     Exit status 3 if something was left out; what was only assumed does not count.
     """
     require_file(file)
-    beside = None if output is None else parameter_file_beside(output)
     require_new(output)
-    require_new(beside)
     imported = import_launch_file(
         file, _arguments(arguments), os.environ, output, run_python, run_commands, lifecycle, containers
     )
+    beside = {} if output is None else {output.with_name(name): text for name, text in imported.parameter_files.items()}
+    for path in beside:
+        require_new(path)
     if output is not None:
         write(output, imported.text)
-    if beside is not None and imported.parameters is not None:
-        write(beside, imported.parameters)
+    for path, text in beside.items():
+        write(path, text)
     left_out = imported.findings.counts(left_out=True)
     if wants_json():
         print_json(
             {
                 "file": None if output is None else str(output),
-                "parameter_file": None if imported.parameters is None else str(beside),
+                "parameter_files": [str(path) for path in beside],
                 "specification": imported.text if output is None else None,
                 "nodes": imported.nodes,
                 "launch_files": imported.files,
