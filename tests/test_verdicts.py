@@ -85,14 +85,15 @@ def test_less_than_a_period_without_an_active_lifecycle_node_loses_nothing() -> 
     for rate in (None, 50.0):
         found = verdicts.inactive("/chat", "talker.out", 8.02, rate)
         assert found is not None and (found.verdict, found.seconds, found.at_most) == ("lost", 8.02, True)
-        assert found.words == "/chat was silent while no node that writes talker.out was active, for at most 8.02 s"
+        what = "/chat was silent while no node that writes talker.out was active"
+        assert found.words == f"{what}, for at most 8.02 s, and until it wrote again"
 
 
 def test_a_time_that_may_be_shorter_is_said_to_be_the_longest() -> None:
     bound = verdicts.below_level("planner.plan", 2.0, at_most=True)
     assert bound.words == "planner.plan was below its level for at most 2.00 s"
     found = verdicts.assessed([bound, LOST])
-    assert found.headline == "Lost: planner.plan for at most 2.00 s, talker.talk for 1.20 s."
+    assert found.headline == "Lost: planner.plan until a node was active again, at most 2.00 s, talker.talk for 1.20 s."
     assert found.in_short == "lost at most 2.00 s"
     assert verdicts.assessed([verdicts.below_level("talker.talk", 2.0), bound]).in_short == "lost 2.00 s"
     assert verdicts.assessed([UNKNOWN]).in_short == "not measurable"

@@ -182,7 +182,7 @@ def inactive(topic: str, port: str, seconds: float, rate: float | None) -> Asses
     if seconds <= (1 / rate if rate else 0.0):
         return None
     time = _time(seconds, at_most=True)
-    words = f"{topic} was silent while no node that writes {port} was active, for {time}"
+    words = f"{topic} was silent while no node that writes {port} was active, for {time}, and until it wrote again"
     return Assessment(topic, "lost", words, round(seconds, 6), at_most=True)
 
 
@@ -680,7 +680,11 @@ def _sentences(unknown: Sequence[Assessment]) -> str:
 
 
 def _for(lost: Assessment) -> str:
-    return "" if lost.seconds is None else f" for {_time(lost.seconds, at_most=lost.at_most)}"
+    if lost.seconds is None:
+        return ""
+    # When the first message came after that, nothing counts.
+    until = " until a node was active again," if lost.at_most else " for"
+    return f"{until} {_time(lost.seconds, at_most=lost.at_most)}"
 
 
 def _time(seconds: float, *, at_most: bool) -> str:
