@@ -270,3 +270,44 @@ def test_a_node_that_differs_is_not_accepted(tmp_path: Path, programs: Path, gat
             system.lab.close()
 
     asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_node_without_ports_registers_once_the_graph_shows_it_or_after_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shown: bool
+) -> None:
+    monkeypatch.setattr(agent_module, "SETTLED", 1e9 if shown else 0.0)
+    monkeypatch.setattr(agent_module, "WATCH", 0.01)
+    bare = ComponentSpec.of("Talker", run="talker", gate="none")
+    record = ForeignRecord(
+        instance="node",
+        node="/node",
+        token=TOKEN,
+        uuid="",
+        pid=os.getpid(),
+        started=0,
+        declaration=NamedComponentForm.of(bare),
+        index=None,
+        topics={},
+        modes={},
+    )
+    looks: list[list[GraphEndpoint]] = []
+
+    def graph() -> list[GraphEndpoint]:
+        looks.append([OUT] if shown and len(looks) >= 3 else [])
+        return looks[-1]
+
+    async def scenario() -> None:
+        transport = SocketFolder(tmp_path / "components")
+        agent = ForeignAgent(record, tmp_path, None, graph=graph)
+        client = ComponentClient(transport, SystemClock(), TOKEN)
+        try:
+            await agent.open(transport)
+            await client.registered("node")
+            assert bool(looks[-1]) is shown and len(looks) >= (4 if shown else 1)
+            await client.change("node", commands.WelcomeCommand(manager="a test"))
+        finally:
+            client.close()
+            await agent.close()
+
+    asyncio.run(scenario())
