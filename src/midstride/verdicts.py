@@ -26,6 +26,8 @@ EXIT_STATUS: Final[Mapping[ConditionState, int]] = {"up": 0, "down": 1, "degrade
 # tolerance of a rate, and what is uncertain at both ends of the count.
 MISSING_PART: Final = 0.1
 MISSING_LEAST: Final = 3
+# A silence that a count would not show is named where it may last longer than this (s).
+SHORT: Final = 0.5
 # An output that writes less than this part of the rate that it guarantees is a fault. One that writes more is named,
 # and no fault in itself: a busy machine may be the reason.
 FAULTY_PART: Final = 0.5
@@ -189,7 +191,7 @@ def inactive(topic: str, port: str, seconds: float, rate: float | None) -> Asses
 def written(topic: str, port: str, passed: int, window: float, rate: float) -> Assessment | None:
     """So many messages passed the gates of an output in ``window`` s, which wrote ``rate`` Hz before; None: enough."""
     missing = rate * window - passed
-    if missing <= max(MISSING_LEAST, MISSING_PART * rate * window):
+    if missing <= _unseen(window, rate):
         return None
     silence = missing / rate
     words = (
@@ -197,6 +199,32 @@ def written(topic: str, port: str, passed: int, window: float, rate: float) -> A
         f"{seconds_in_words(window)}, and it wrote {rate:.3g} Hz before"
     )
     return Assessment(topic, "lost", words, round(silence, 3))
+
+
+def _unseen(window: float, rate: float) -> float:
+    """How many messages may be missing in ``window`` (s) without a word."""
+    return max(MISSING_LEAST, MISSING_PART * rate * window)
+
+
+def silent_between_counts(topic: str, port: str, window: float, rate: float) -> Assessment | None:
+    """A count that lacks nothing shows no silence that is as short as what it tolerates; None where that is short.
+
+    For an output that no subscriber of the system hears.
+    """
+    seconds = _unseen(window, rate) / rate
+    if seconds <= SHORT:
+        return None
+    words = (
+        f"whether {topic} was silent for up to {seconds_in_words(seconds)}: the messages of {port} were counted over "
+        f"{seconds_in_words(window)}, and nothing in the system receives them"
+    )
+    return Assessment(topic, "not_measurable", words)
+
+
+def written_by_lifecycle(topic: str, port: str) -> Assessment:
+    """A lifecycle node is active, which is not that it writes: for an output that no subscriber of the system hears."""
+    words = f"when {topic} was written again: nothing counts the messages of {port}, or receives them in the system"
+    return Assessment(topic, "not_measurable", words)
 
 
 def not_counted(topic: str, port: str) -> Assessment:

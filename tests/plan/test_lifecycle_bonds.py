@@ -50,7 +50,9 @@ def test_ending_a_node_with_a_bond_is_refused(tmp_path: Path, request_: list[str
 def test_the_manager_is_known_by_its_parameters(tmp_path: Path, parameters: str, seconds: str) -> None:
     code, said = planned(tmp_path, "--restart=planner", parameters=parameters)
     assert code and f"has a bond{seconds} with /planner" in said
-    assert ("if it has none, as it is not Nav2's, state `bond_timeout = 0.0`" in said) == ("bond_timeout" not in parameters)
+    assert ("if it has none, as it is not Nav2's, state `bond_timeout = 0.0`" in said) == (
+        "bond_timeout" not in parameters
+    )
 
 
 def test_names_are_in_the_namespace_of_the_manager(tmp_path: Path) -> None:

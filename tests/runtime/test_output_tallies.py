@@ -28,25 +28,30 @@ def said(
     performed: Sequence[Action] = (),
     last_of_new: int | None = None,
     before: int = BEFORE,
+    window: float = WINDOW,
+    only_counted: bool = False,
+    received: Sequence[str] = (),
+    inactive: float | None = None,
 ) -> list[str]:
     """What is said if the side that writes in the end has written ``count``, and ``last`` is the old side's last.
 
     ``performed``: what the change has done on its way; ``last_of_new``: the last of the new side, where it has written.
     """
-    link = LinkState(gate="open", count=count)
+    link = LinkState(gate="open", count=count, inactive=inactive)
 
     async def peek(_: str) -> Any:
         return SimpleNamespace(ports={"out": {"/chat": link}})
 
     tallies = OutputTallies(
-        cast("Any", SimpleNamespace(peek=peek)), cast("Any", SimpleNamespace(steady=lambda: WINDOW))
+        cast("Any", SimpleNamespace(peek=peek)), cast("Any", SimpleNamespace(steady=lambda: window))
     )
-    tallies._begun = [_Begun(Exchange("/chat", OLD, NEW), "/chat", 0.0, LinkState(gate="open", count=before), RATE)]
+    begun = LinkState(gate="open", count=before)
+    tallies._begun = [_Begun(Exchange("/chat", OLD, NEW), "/chat", 0.0, begun, RATE, only_counted)]
 
     async def assessed() -> list[verdicts.Assessment]:
         for each in performed:
             await tallies.performed(each)
-        return await tallies.assessments({OLD: last, NEW: last_of_new}, resumed=resumed)
+        return await tallies.assessments({OLD: last, NEW: last_of_new}, received, resumed=resumed)
 
     return [each.words for each in asyncio.run(assessed())]
 
@@ -90,3 +95,26 @@ def test_what_is_missing_is_said_as_silence(count: int, last: int, resumed: bool
 def test_where_a_part_of_the_count_is_missing_nothing_is_known(resumed: bool, performed: list[Action]) -> None:
     (words,) = said(90, None, resumed=resumed, performed=performed)
     assert words == "whether /chat was silent: how much talker.out wrote last is not known"
+
+
+def test_a_silence_that_a_count_does_not_show_is_not_excluded() -> None:
+    """Of 450 messages in 9 s, 45 may be missing without a word: 0.9 s at 50 Hz."""
+    whole = {"last": 1040, "resumed": False, "window": 9.0}
+    (words,) = said(410, **whole, only_counted=True)  # type: ignore[arg-type]
+    assert words == (
+        "whether /chat was silent for up to 900 ms: the messages of talker_2.out were counted over 9.00 s, and nothing "
+        "in the system receives them"
+    )
+    assert said(410, **whole, only_counted=True, received=["/chat"]) == []  # type: ignore[arg-type]
+    assert said(410, **whole) == []  # type: ignore[arg-type]  # with the API
+    assert said(160, 1040, resumed=False, only_counted=True) == []  # 0.4 s of 4 s
+
+
+def test_a_lifecycle_node_that_is_active_need_not_write() -> None:
+    found = said(0, None, resumed=False, inactive=0.3)
+    assert len(found) == 2 and found[0].startswith("/chat was silent while no node")
+    assert found[1] == (
+        "when /chat was written again: nothing counts the messages of talker_2.out, or receives them in the system"
+    )
+    assert len(said(0, None, resumed=False, inactive=0.3, received=["/chat"])) == 1
+    assert said(0, None, resumed=False, inactive=0.0) == []

@@ -364,7 +364,8 @@ class ChangeSession:
         assert change.outcome is not None
         await change.entry.end(change.outcome, change.because, execution.seconds)
         swaps = await self._measure(driver, execution)
-        at_outputs = await tallies.assessments(driver.last_numbers, resumed=change.outcome != "done")
+        received = {each.topic for each in swaps if each.missed is not None}
+        at_outputs = await tallies.assessments(driver.last_numbers, received, resumed=change.outcome != "done")
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         await change.entry.measured(swaps)

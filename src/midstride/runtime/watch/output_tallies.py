@@ -1,13 +1,13 @@
 """The messages of the outputs that a change exchanges, by their own count: also where no subscriber tells.
 
 A count over the whole change needs no more than two reports of each side. It shows a silence of several periods; what
-is shorter, subscribers that record show (:mod:`.subscriber_recording`). Where a part of the count is missing, nothing
-is known of it, and that is said.
+is shorter, subscribers that record show (:mod:`.subscriber_recording`). Where there is none, and for a longer time than
+SHORT, or where a part of the count is missing, nothing is known, and that is said.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from midstride import verdicts
@@ -27,6 +27,7 @@ class _Begun:
     """An exchange, and its old side as last reported before: ``at`` in steady s.
 
     ``rate``: what it keeps writing (Hz); None where it guarantees no rate, or that is not in the time of the system.
+    ``only_counted``: it does not use Midstride's API, by which each output is handed over from one slot to the next.
     """
 
     exchange: Exchange
@@ -34,6 +35,7 @@ class _Begun:
     at: float
     link: LinkState
     rate: float | None
+    only_counted: bool = False
 
 
 @dataclass(slots=True)
@@ -68,12 +70,16 @@ class OutputTallies(ChangeObserver):
             rates = [configuration.rate(old), _rate(components, exchange.new), _measured(link)]
             known = [rate for rate in rates if rate is not None]
             rated = rates[0] is not None and rates[1] is not None and not latest.state.simulated_time
-            self._begun.append(_Begun(exchange, topic, latest.at, link, min(known) if rated else None))
+            plain = components[old.instance].gate is not None or components[exchange.new.instance].gate is not None
+            self._begun.append(_Begun(exchange, topic, latest.at, link, min(known) if rated else None, plain))
 
     async def assessments(
-        self, last_numbers: Mapping[PortRef, int | None], *, resumed: bool
+        self, last_numbers: Mapping[PortRef, int | None], received: Container[str] = (), *, resumed: bool
     ) -> list[verdicts.Assessment]:
-        """Return what the counts show; ``resumed``: the change was rolled back, so the old sides write again."""
+        """Return what the counts show; ``resumed``: the change was rolled back, so the old sides write again.
+
+        ``received``: the topics of which a subscriber in the system has recorded what it received.
+        """
         found: list[verdicts.Assessment] = []
         unanswered: dict[str, list[str]] = {}
         for each in self._begun:
@@ -85,27 +91,35 @@ class OutputTallies(ChangeObserver):
                 continue
             now, link = self.clock.steady(), state.ports.get(writer.port, {}).get(each.topic)
             if link is not None:
-                found += filter(None, self._assessments(each, writer, link, last_numbers, now, resumed))
+                passed = self._passed(each, link.count, last_numbers, resumed)
+                found += filter(
+                    None, self._assessments(each, str(writer), link, passed, now, resumed, each.topic in received)
+                )
         return [*found, *(verdicts.unanswered_outputs(name, topics) for name, topics in unanswered.items())]
 
     def _assessments(
         self,
         begun: _Begun,
-        writer: PortRef,
+        writer: str,
         link: LinkState,
-        last_numbers: Mapping[PortRef, int | None],
+        passed: int | None,
         now: float,
         resumed: bool,
+        is_received: bool,
     ) -> Iterator[verdicts.Assessment | None]:
         if link.inactive is not None:
-            before = begun.link.inactive if resumed else 0.0
-            yield verdicts.inactive(begun.topic, str(writer), max(0.0, link.inactive - (before or 0.0)), begun.rate)
-        elif begun.rate is not None:
-            passed = self._passed(begun, link.count, last_numbers, resumed)
-            if passed is None:
-                yield verdicts.not_counted(begun.topic, str(begun.exchange.old))
-            else:
-                yield verdicts.written(begun.topic, str(writer), passed, now - begun.at, begun.rate)
+            seconds = link.inactive - ((begun.link.inactive or 0.0) if resumed else 0.0)
+            yield verdicts.inactive(begun.topic, writer, max(0.0, seconds), begun.rate)
+            if seconds > 0 and not is_received:
+                yield verdicts.written_by_lifecycle(begun.topic, writer)
+        elif begun.rate is not None and passed is None:
+            yield verdicts.not_counted(begun.topic, str(begun.exchange.old))
+        elif begun.rate is not None and passed is not None:
+            window = now - begun.at
+            lost = verdicts.written(begun.topic, writer, passed, window, begun.rate)
+            yield lost
+            if lost is None and begun.only_counted and not is_received:
+                yield verdicts.silent_between_counts(begun.topic, writer, window, begun.rate)
 
     def _passed(
         self, begun: _Begun, count: int, last_numbers: Mapping[PortRef, int | None], resumed: bool
