@@ -274,7 +274,7 @@ class ParameterReader:
         return None
 
     def _of_file(self, given: ParametersGiven) -> _Read | str:
-        """What is read of a file, or why it is left out, in words."""
+        """Return the parameters of a file, or why it is left out, in words."""
         name = "parameters" if given.path is None else os.path.basename(given.path)
         if given.text is not None:
             source = Source(name, given.text)
