@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from midstride.model.component_rules import MAX_NUMBER
+
 CATALOGUE: Final = Path(__file__).parent / "catalogue"
 PACKAGE: Final = "made_up_pkg"
 DEFAULT_LIMIT: Final = 5.0  # seconds until the next signal, for a process that does not end
@@ -87,8 +89,15 @@ def shortened(text: str, prefix: Path) -> str:
 
 
 def for_others(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """What another node of a process has, but for empty lists, which have no type."""
-    return {name: plain(parameters[name]) for name in sorted(parameters) if parameters[name] != []}
+    """What another node of a process has. Without what the language cannot state, which is for one node."""
+    return {
+        name: plain(parameters[name])
+        for name in sorted(parameters)
+        if re.fullmatch(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*", name, re.ASCII)
+        and not (isinstance(parameters[name], str) and (len(parameters[name]) > 1000 or "\n" in parameters[name]))
+        and parameters[name] != []
+        and not (isinstance(parameters[name], (int, float)) and MAX_NUMBER < abs(parameters[name]) < math.inf)
+    }
 
 
 def plain(value: Any) -> Any:

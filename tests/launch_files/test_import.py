@@ -698,19 +698,15 @@ def test_a_value_for_all_that_the_language_cannot_state_is_in_a_file_for_all(tmp
         assert inner == of_others, body
 
 
-def test_a_value_for_all_of_another_type_than_that_of_the_node_is_in_a_file_for_all(tmp_path: Path) -> None:
+def test_a_value_for_all_of_another_type_than_that_of_the_node_is_named_where_there_may_be_further_nodes(
+    tmp_path: Path,
+) -> None:
     inner = "inner: {ros__parameters: {width: 3}}"
-    (tmp_path / "own.yaml").write_text(f"two: {{ros__parameters: {{rate: 3}}}}\n{inner}\n")
+    (tmp_path / "own.yaml").write_text(f"two: {{ros__parameters: {{rate: fast}}}}\n{inner}\n")
     rate = '<param name="rate" value="1.5"/>'
     found = of_xml(tmp_path, f'<node exec="./two" name="two">{rate}<param from="$(dirname)/own.yaml"/></node>')
-    assert kinds(found) == []
-    system = specification(found, tmp_path)
-    assert dict(system.instance("two").parameters) == {"rate": 3}
-    (of_all,) = (section for section in system.nodes["two"].sections if section.pattern == "/**")
-    assert dict(of_all.parameters) == {"rate": 1.5}
-    printed = import_launch_file(tmp_path / "robot.launch.xml", {}, {}, None)  # nothing is written beside it
-    _, finding = printed.findings
-    assert printed.parameter_files == {} and "1.5" not in printed.text
+    (finding,) = found.findings
+    assert dict(specification(found, tmp_path).instance("two").parameters) == {"rate": "fast"}
     assert "launch gives `rate` to all nodes of the process of `two`" in finding.message and not finding.left_out
     assert "if `inner` is in this process" in finding.message
 

@@ -107,7 +107,8 @@ class ParameterReader:
         """The files that are named and the values for all nodes of the process, in their order; what the node has of
         these, since of statements of the language the later one wins.
 
-        Values for all nodes are not among them for a node without a name, whose own ones are for all, and for the time.
+        Values for all nodes are not among them for a node without a name, whose own ones are for all, and for the time;
+        nor those of another type than the node's own, which the language has not.
         """
         for_all: list[dict[str, ParameterValue]] = []
         last: dict[str, int] = {}
@@ -325,7 +326,7 @@ def _overlap(parts: Sequence[SectionInFile]) -> bool:
     return False
 
 
-def type_of(value: ParameterValue) -> tuple[type, ...]:
+def _type_of(value: ParameterValue) -> tuple[type, ...]:
     return (list, *{type(each) for each in value}) if isinstance(value, list) else (type(value),)
 
 

@@ -23,7 +23,6 @@ from midstride.launch_files.launched_parameters import (
     FOR_ALL,
     LaunchedParameters,
     ParameterReader,
-    type_of,
     written_file,
 )
 from midstride.model.component import DEFAULT_CONTAINER, ParameterValue
@@ -154,15 +153,12 @@ class SpecificationDraft:
                 lines.append(f"parameters {quoted(os.path.relpath(statement, self._folder))}")
                 written.append(statement)
             else:
-                # A component has one type for each parameter.
-                alike = {each for each in statement if type_of(statement[each]) == type_of(parameters.effective[each])}
-                others = {} if self._target is None else {name: statement[name] for name in statement.keys() - alike}
-                for_all, long = self._separated(node, {name: statement[name] for name in statement if name in alike})
+                for_all, long = self._separated(node, statement)
                 lines += ["parameters for all {", *for_all, "}"] if for_all else []
-                lines += self._file_for_all(node, others | long) if others or long else []
+                lines += self._file_for_all(node, long) if long else []
                 own = {name: value for name, value in parameters.replaced.items() if name in long}
                 beside |= self._separated(node, own)[1]
-                written.append({name: statement[name] for name in statement if name in alike or name in others})
+                written.append(statement)
         if beside and self._target is not None:
             lines.append(f"parameters {quoted(_beside(self._target))}")
             self._beside.setdefault(node.role, {}).update(beside)
