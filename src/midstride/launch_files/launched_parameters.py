@@ -119,7 +119,10 @@ class ParameterReader:
                     name: value.value
                     for section in sections
                     for name, value in section.values.items()
-                    if section.pattern == FOR_ALL and name not in ROS_PARAMETERS and name in effective
+                    if section.pattern == FOR_ALL
+                    and name not in ROS_PARAMETERS
+                    and name in effective
+                    and _type_of(value.value) == _type_of(effective[name])
                 }
             )
             last |= dict.fromkeys(for_all[-1], number)
