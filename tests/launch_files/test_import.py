@@ -677,6 +677,17 @@ def test_a_value_that_launch_gives_to_all_nodes_of_a_process_is_for_all(tmp_path
         assert of_other.get("/**") == other, body
 
 
+def test_a_parameter_file_that_cannot_be_read_is_named_for_each_node_that_would_have_it(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text("/**/w_*: {ros__parameters: {rate: [1, x]}}\n")
+    nodes = "".join(
+        f'<node exec="./{name}" name="{name}"><param from="$(dirname)/bad.yaml"/></node>\n' for name in "ab"
+    )
+    found = of_xml(tmp_path, nodes)
+    assert [each.message for each in found.findings] == [
+        f"`bad.yaml` is left out: line 1 is not of a parameter file that can be read (of `{name}`)" for name in "ab"
+    ]
+
+
 def test_a_value_for_all_that_the_language_cannot_state_is_in_a_file_for_all(tmp_path: Path) -> None:
     (tmp_path / "two.yaml").write_text("inner: {ros__parameters: {width: 3}}\n")
     (tmp_path / "all.yaml").write_text("/**: {ros__parameters: {joint-1: 1.0, rate: 2.0}}\n")

@@ -294,14 +294,8 @@ class ParameterReader:
             return _Read(source, sections)
         refused = reporter.found[0]
         if given.path is None:
-            message = (
-                f"the file that launch writes is left out, as ROS refuses it, and no node starts: {refused.message}"
-            )
-        else:
-            line = refused.position[0]
-            message = f"`{name}` is left out: line {line} is not of a parameter file that can be read"
-        self._findings.add("parameters", message, given.span)
-        return None
+            return f"the file that launch writes is left out, as ROS refuses it: {refused.message}"
+        return f"`{name}` is left out: line {refused.position[0]} is not of a parameter file that can be read"
 
 
 def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
