@@ -21,6 +21,7 @@ from midstride.codec.specification_form import decode_specification, encode_spec
 from midstride.errors import BackendError, NodeError, PlanRefused, StepFailed
 from midstride.foreign.page import Page
 from midstride.foreign.preloading import StartedPrograms
+from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.generate.project import project
 from midstride.lang.load import load
@@ -224,7 +225,7 @@ def test_whatever_keeps_a_node_from_being_loaded_is_said_at_once(error: Exceptio
     async def scenario() -> None:
         failed = asyncio.Event()
 
-        async def load(request: LoadRequest, timeout: float) -> None:
+        async def load(record: ForeignRecord, request: LoadRequest, timeout: float) -> None:
             raise error
 
         async def note(instance: str, because: str) -> None:

@@ -94,7 +94,7 @@ def test_its_class_and_its_container_are_looked_up_by_check(tmp_path: Path, monk
             'component "demo::T -e use_intra_process_comms:=true" package "demo" gate preload',
             "E027",
             "goes past the gate",
-            "a process of its own",
+            "then pass the gate",
         ),
         ('component "-r a:=b" package "demo" gate none', "E009", "does not begin with a class", None),
         ('component "demo::T -p a:=1" package "demo" gate none', "E009", "state it in `parameters { … }`", None),

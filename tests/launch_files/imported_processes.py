@@ -37,19 +37,36 @@ def processes(path: Path, arguments: Mapping[str, str], environment: Mapping[str
     loaded = load(target)
     assert [str(each) for each in loaded.diagnostics if each.severity == "error"] == [], imported.text
     system = loaded.require()
-    return Found(imported, [_process(system, name, environment) for name in system.nodes])
+    said = "\n".join(map(str, imported.findings))
+    alone = [_process(system, name, environment) for name, node in system.nodes.items() if node.container is None]
+    shared = [_container(system, name) for name in system.containers if f"`{name}` is started elsewhere" not in said]
+    classes = [str(system.component_of(name).run) for name, node in system.nodes.items() if node.container is not None]
+    return Found(imported, [*alone, *shared], classes)
 
 
 class Found:
-    """``processes`` are in the order of the nodes."""
+    """``processes`` are in the order of the nodes; ``loaded`` into those of containers are these classes."""
 
-    def __init__(self, imported: Imported, processes: list[dict[str, Any]]) -> None:
+    def __init__(self, imported: Imported, processes: list[dict[str, Any]], loaded: list[str]) -> None:
         self.imported = imported
         self.processes = processes
+        self.loaded = [run.partition(" ")[0] for run in loaded]
 
     @property
     def kinds(self) -> dict[str, int]:
         return self.imported.findings.counts()
+
+
+def _container(system: Specification, name: str) -> dict[str, Any]:
+    program = system.containers[name]
+    namespace, _, own_name = name.rpartition("/")
+    words, _ = split(shlex.split(program.run))
+    found: dict[str, Any] = {
+        "program": f"{program.package}/{words[0]}",
+        "arguments": words[1:],
+        "name": own_name,
+    }
+    return found | ({"namespace": f"/{namespace}"} if namespace else {})
 
 
 def _process(system: Specification, name: str, environment: Mapping[str, str]) -> dict[str, Any]:
@@ -155,7 +172,8 @@ def imported(name: str, answers: dict[str, Any], prefix: Path, folder: Path) -> 
     said = [str(finding) for finding in found.imported.findings]
     if "error" in answer:
         return ([] if name in LATER else [f"launch refuses it: {answer['error']}"]), said
-    missing = len(answer.get("components", ())) - found.kinds.get("composable", 0)
+    left_out = [each for each in answer.get("components", ()) if each not in found.loaded]
+    missing = len(left_out) - found.kinds.get("composable", 0)
     different = compared(answer, found) + ["a component is not named"] * max(missing, 0)
     late = sum("after" in process for process in answer["processes"])
     if found.kinds.get("later", 0) < late or (

@@ -1,12 +1,13 @@
-"""Composable nodes in launch files: left out and named, or with a process of their own."""
+"""Composable nodes in launch files: in their containers, or each with its process, or left out and named."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from midstride.launch_files.launch_import import Imported, import_launch_file
-from midstride.model.component import ComponentSpec, ContainerProgram
-from tests.launch_files.support import of_xml, specification
+from midstride.launch_files.launched_containers import Containers
+from midstride.model.component import DEFAULT_CONTAINER, ComponentSpec, ContainerProgram
+from tests.launch_files.support import specification
 
 PARAMETERS = """camera:
   ros__parameters: {rate: 30.0}
@@ -44,11 +45,15 @@ ROBOT = """
 """
 
 
-def split(folder: Path, body: str) -> Imported:
+def imported(folder: Path, body: str, containers: Containers) -> Imported:
     (folder / "nav.yaml").write_text(PARAMETERS, encoding="utf-8")
     file = folder / "robot.launch.xml"
     file.write_text(f"<launch>\n{body}\n</launch>\n", encoding="utf-8")
-    return import_launch_file(file, {}, {}, folder / "imported.stride", containers="split")
+    return import_launch_file(file, {}, {}, folder / "imported.stride", containers=containers)
+
+
+def split(folder: Path, body: str) -> Imported:
+    return imported(folder, body, "split")
 
 
 def components(found: Imported, folder: Path) -> dict[str, ComponentSpec]:
@@ -70,6 +75,46 @@ def test_components_get_a_process_each_and_their_containers_are_left_out(tmp_pat
     assert nodes["front/watch"].container is None
     system = specification(found, tmp_path)
     assert system.nodes["front/camera"].respawn is not None
+
+
+def test_they_share_their_containers_as_in_the_launch_file(tmp_path: Path) -> None:
+    found = imported(tmp_path, ROBOT, "keep")
+    system = specification(found, tmp_path)
+    assert {name: each.run for name, each in system.containers.items()} == {
+        "front/pipeline": "component_container_mt",
+        "front/nav2_container": "component_container_isolated --ros-args --log-level warn",
+        "elsewhere/box": "component_container",
+    }
+    assert {role: node.container for role, node in system.nodes.items()} == {
+        "front/camera": "front/pipeline",
+        "front/rectify": "front/pipeline",
+        "front/planner_server": "front/nav2_container",
+        "other/route_server": "elsewhere/box",
+        "front/watch": None,
+    }
+    nodes = components(found, tmp_path)
+    assert {nodes[role].container for role, node in system.nodes.items() if node.container} == {DEFAULT_CONTAINER}
+    assert nodes["front/rectify"].run == "cameras::Rectify -e enable_rosout:=false"
+    assert system.nodes["front/camera"].respawn is not None
+    assert [each.message for each in found.findings if each.kind in ("composable", "unsupported")] == [
+        "`front/camera`, `front/rectify` had intra-process communication: what they exchange is serialized now, and "
+        "passes through the middleware",
+        "the environment and the prefix of the container `front/pipeline` are left out",
+        "the container `elsewhere/box` is started elsewhere; here it is `component_container`, with what is named for "
+        "it alone",
+    ]
+
+
+def test_a_container_has_no_name_of_a_node_and_any_other_word_for_one(tmp_path: Path) -> None:
+    body = """
+<node_container pkg="rclcpp_components" exec="component_container" name="{}" namespace="">
+  <composable_node pkg="cameras" plugin="cameras::Camera" name="camera"/>
+</node_container>"""
+    for name, expected in (("camera", "camera_container"), ("container", "container")):
+        folder = tmp_path / name
+        folder.mkdir()
+        system = specification(imported(folder, body.format(name), "keep"), folder)
+        assert set(system.containers) == {system.nodes["camera"].container} == {expected}
 
 
 def test_an_extra_argument_that_no_run_text_can_state_is_left_out_and_named(tmp_path: Path) -> None:
@@ -122,13 +167,12 @@ def test_parameter_files_of_a_container_alone_are_named(tmp_path: Path) -> None:
     assert set(components(found, tmp_path)) == {"camera"}
 
 
-def test_unless_asked_for_they_are_left_out_and_named(tmp_path: Path) -> None:
-    (tmp_path / "nav.yaml").write_text(PARAMETERS, encoding="utf-8")
-    found = of_xml(tmp_path, ROBOT)
+def test_where_that_is_asked_for_they_are_left_out_and_named(tmp_path: Path) -> None:
+    found = imported(tmp_path, ROBOT, "omit")
     assert set(components(found, tmp_path)) == {"front/pipeline", "front/nav2_container", "front/watch"}
     left_out = [each.message for each in found.findings if each.kind == "composable"]
     assert len(left_out) == 4
     assert left_out[0] == (
         "the component `cameras::Camera` is left out: it would share the process of its container; with "
-        "`--containers split`, it has one of its own"
+        "`--containers keep` it does, and with `--containers split` it has its own"
     )

@@ -227,7 +227,6 @@ def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> No
         ("12", "argument"),
         ("10", "argument"),
         ("9", "unsupported"),
-        ("15", "composable"),
         ("17", "program"),
         ("19", "unsupported"),
         ("21", "condition"),
@@ -237,7 +236,7 @@ def test_what_cannot_be_taken_over_is_reported_at_its_line(tmp_path: Path) -> No
         ("11", "parameters"),
         ("18", "later"),
     ]
-    assert set(commands(found, tmp_path)) == {"named", "input_2", "box", "rviz2", "late", "late_2", "last"}
+    assert set(commands(found, tmp_path)) == {"named", "input_2", "filter", "rviz2", "late", "late_2", "last"}
     assert found.findings.counts()["unsupported"] == 2
     assumed = {"name": 3, "package": 1, "later": 1, "program": 1}
     assert found.findings.counts(left_out=False) == assumed and "package" in found.findings.counts(left_out=True)

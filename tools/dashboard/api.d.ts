@@ -294,6 +294,8 @@ declare namespace Api {
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     /** parameters of further nodes in its process, as files order them */
     sections?: SectionForm[];
+    container?: SharedContainerForm;
+    process?: string;
     seconds: number;
   }
 
@@ -574,6 +576,8 @@ declare namespace Api {
     parameters: Record<string, boolean | number | string | Record<string, "-inf" | "inf" | "nan"> | (boolean | number | string | Record<string, "-inf" | "inf" | "nan">)[]>;
     /** parameters of further nodes in its process, as files order them */
     sections?: SectionForm[];
+    container?: SharedContainerForm;
+    process?: string;
   }
 
   /** An instance, as it last reported itself. */
@@ -581,6 +585,10 @@ declare namespace Api {
     name: string;
     role: string;
     component: string;
+    /** of the system, that loads its node beside others */
+    container: string | null;
+    /** the process of that container which it shares; null: it has one for itself */
+    process: string | null;
     /** of its role: `/` or `/front` */
     namespace: string;
     /** the computer or container that reports it; null: the manager's */
@@ -766,6 +774,8 @@ declare namespace Api {
     respawn?: RespawnForm;
     /** parameters of further nodes in its process, as files order them */
     sections?: SectionForm[];
+    /** what loads it beside other nodes */
+    container?: string;
     role: string;
   }
 
@@ -779,6 +789,8 @@ declare namespace Api {
     respawn?: RespawnForm;
     /** parameters of further nodes in its process, as files order them */
     sections?: SectionForm[];
+    /** what loads it beside other nodes */
+    container?: string;
   }
 
   /** A further place that a diagnostic is about. */
@@ -1300,6 +1312,17 @@ declare namespace Api {
     between?: [number, number];
   }
 
+  /** The container of a system that loads an instance. */
+  interface SharedContainerForm {
+    /** an executable of its package */
+    run?: string;
+    /** its package */
+    package?: string;
+    name: string;
+    /** parameters of further nodes in its process, as files order them */
+    sections?: SectionForm[];
+  }
+
   /** A component that does not answer, or a port that has been silent for so long (null: unknown). */
   interface SilenceFault {
     kind: "not_answering" | "not_discovering" | "not_publishing" | "not_receiving" | "not_responding";
@@ -1333,6 +1356,8 @@ declare namespace Api {
     environment?: Record<string, OfferForm>;
     /** types of nodes */
     components?: Record<string, ComponentForm>;
+    /** what composable nodes share, by name, namespaces in front */
+    containers?: Record<string, ContainerForm>;
     /** the nodes, by name, namespaces in front */
     nodes?: Record<string, NodeForm>;
     constraints?: ConstraintForm[];

@@ -343,7 +343,7 @@ class _Inserter:
         tokens = self.file.tokens
         start = tokens.starts[bisect_left(tokens.starts, node.name.span.start) - 1]  # the word `node`
         close = self._end_of_block(node.name.span.start)
-        end = node.component.span.end if node.component is not None else node.name.span.end
+        end = (node.container or node.component or node.name).span.end
         return start, end if close is None else close + 1
 
     def _attach(self, node: NodeDeclaration, ports: list[ProposedPort]) -> None:
@@ -352,7 +352,7 @@ class _Inserter:
         if (close := self._end_of_block(node.name.span.start)) is not None:
             self._insert_before(close, [port.attachment for port in ports])
         else:
-            end = node.component.span.end
+            end = (node.container or node.component).span.end
             self.edits.append((end, end, f" {node_block(ports)}"))
 
     def _declare(self, lines: list[str]) -> None:
@@ -369,7 +369,7 @@ class _Inserter:
         """Where the block of the declaration closes whose name is at an offset; None if it has none."""
         tokens = self.file.tokens
         index = bisect_left(tokens.starts, name)
-        for at in range(index, min(index + 4, len(tokens.starts))):  # `X {`, `X like Y {`, `x : X {`
+        for at in range(index, min(index + 6, len(tokens.starts))):  # `X {`, `X like Y {`, `x : X {`, `x : X in y {`
             if at in self.file.layout.blocks:
                 return tokens.starts[self.file.layout.blocks[at]]
             if at > index and at in self.file.layout.statements:

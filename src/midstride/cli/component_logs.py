@@ -24,12 +24,15 @@ _STAMP: Final = re.compile(r"(\[[A-Z]+\] \[)(\d{9,}\.\d+)(?=\])")
 
 
 def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Path]:
-    """The logs of ``node``, a role or an instance: those of instances that crashed first, the live one's last.
+    """The logs of ``node``, a role, an instance or a container: those of what has crashed first, the live one's last.
+
+    Nodes that share the process of a container share its log.
 
     Without the manager's ``status``, those of every instance that has had its name, the newest last.
     """
     if status is not None:
-        live = [each.name for each in status.instances if node in (each.role, each.name)]
+        named = (each for each in status.instances if node in (each.role, each.name, each.container, each.process))
+        live = list(dict.fromkeys(each.process or each.name for each in named))
         crashed = [each.name for each in status.crashed if is_named_after(each.name, node)]
         names = [*(name for name in crashed if name not in live), *live]
         if not names and node.rpartition("_")[2].isdecimal():  # an instance that is no more, as after a roll-back
@@ -58,7 +61,7 @@ def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
     """The names that ``logs`` can be asked for."""
     if status is None:
         return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
-    live = [name for each in status.instances for name in (each.role, each.name)]
+    live = [name for each in status.instances for name in (each.role, each.name, each.container) if name is not None]
     crashed = [name for each in status.crashed for name in (each.role, each.name) if name is not None]
     return sorted({*live, *crashed})
 

@@ -39,7 +39,7 @@ def status(status: Status) -> RenderableType:
         for line in _others(component):
             live.add_row("", "", "", *line)
     lines = [*_topics(status), *_unmet(status), *_programs(status), *_set(status), *_problems(status)]
-    return Group(Text.from_markup(_heading(status)), live, *lines)
+    return Group(Text.from_markup(_heading(status)), live, *_containers(status), *lines)
 
 
 def _heading(status: Status) -> str:
@@ -66,7 +66,7 @@ def lock_line(lock: ChangeLock) -> str:
 
 
 def _process(component: InstanceStatus) -> Text:
-    process = str(component.pid or "–")
+    process = str(component.pid or "–") + (f" {component.process}" if component.process else "")
     if component.ending:
         return Text(f"{process}, ending", style="dim")
     if component.done:
@@ -103,6 +103,15 @@ def _others(component: InstanceStatus) -> Iterable[tuple[Text, Text, Text]]:
     if component.other_nodes_unknown:
         words = f"other nodes of its process are not known: {component.other_nodes_unknown}"
         yield Text(""), Text(""), Text(words, style="dim")
+
+
+def _containers(status: Status) -> Iterable[Text]:
+    """The containers of which some nodes have a process for themselves by now."""
+    for container in sorted({each.container for each in status.instances if each.container is not None}):
+        own = [each for each in status.instances if each.container == container]
+        if alone := [each.name for each in own if each.process is None]:
+            words = f"container {container}: {', '.join(alone)} left it for a process for itself, as it was replaced"
+            yield Text(f"{words}; `midstride restart {container}` brings all together", style="dim")
 
 
 def _topics(status: Status) -> Iterable[Text]:

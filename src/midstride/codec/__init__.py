@@ -7,8 +7,9 @@ those of what the manager reports in :mod:`midstride.runtime`; they are made of 
 
 PUBLIC = (
     "CONNECTOR_FORMS ComponentForm ConfigurationForm Document FiniteNumber Form FormCheck InstanceForm "
-    "NamedComponentForm NodeForm NonEmptyName Report Schema SecondsOrZero SectionForm SectionsForm SpecificationForm "
-    "ValueForm decode decode_component decode_saved_specification decode_specification encode encode_component "
-    "encode_specification expressible field from_json given json_value json_values of_kind parse_json schemas "
-    "specification_schema strict_json to_json under value_of values_form values_of"
+    "NamedComponentForm NodeForm NonEmptyName Report Schema SecondsOrZero SectionForm SectionsForm "
+    "SharedContainerForm SpecificationForm ValueForm decode decode_component decode_saved_specification "
+    "decode_specification encode encode_component encode_specification expressible field from_json given json_value "
+    "json_values of_kind parse_json schemas specification_schema strict_json to_json under value_of values_form "
+    "values_of"
 )

@@ -217,6 +217,13 @@ class ContainerForm(Form, frozen=True):
     run: Annotated[str, field("a command", "an executable of its package", min_length=1)] = DEFAULT_CONTAINER.run
     package: Annotated[str, field("a package", "its package", min_length=1)] = DEFAULT_CONTAINER.package
 
+    @classmethod
+    def of(cls, program: ContainerProgram) -> ContainerForm:
+        return cls(program.run, program.package)
+
+    def program(self) -> ContainerProgram:
+        return ContainerProgram(self.run, self.package)
+
 
 class ComponentForm(Form, frozen=True):
     """A component, whose name is the key it is under."""
@@ -273,9 +280,7 @@ class ComponentForm(Form, frozen=True):
         return cls(
             run=component.run or UNSET,
             package=component.package or UNSET,
-            container=UNSET
-            if component.container is None
-            else ContainerForm(component.container.run, component.container.package),
+            container=UNSET if component.container is None else ContainerForm.of(component.container),
             prefix=component.prefix or UNSET,
             environment=dict(sorted(component.environment.items())),
             takes_seconds=stated(component.startup_seconds),
@@ -314,7 +319,7 @@ class ComponentForm(Form, frozen=True):
             allows=tuple(NodeEndpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
             run=given(self.run),
             package=given(self.package),
-            container=None if self.container is UNSET else ContainerProgram(self.container.run, self.container.package),
+            container=None if self.container is UNSET else self.container.program(),
             prefix=given(self.prefix),
             environment=self.environment,
             startup_seconds=given(self.takes_seconds),

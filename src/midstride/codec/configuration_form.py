@@ -10,18 +10,38 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, TypeAlias
 
-from midstride.codec.component_form import NamedComponentForm
+from msgspec import UNSET, UnsetType
+
+from midstride.codec.component_form import ContainerForm, NamedComponentForm
 from midstride.codec.form import Form, NonEmptyName, field
 from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.codec.reading import decode_form
 from midstride.codec.specification_form import SpecificationForm
 from midstride.errors import SpecificationError
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import FunctionalityRef, PortRef, SharedContainer
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.diagnostics import Problem
 from midstride.model.specification import Specification
 
 AttachmentForm: TypeAlias = Annotated[tuple[str, str], field("an attachment", "[port, topic]")]
+
+
+class SharedContainerForm(ContainerForm, frozen=True, kw_only=True):
+    """The container of a system that loads an instance."""
+
+    what: ClassVar[str] = "a shared container"
+
+    name: NonEmptyName
+    sections: SectionsForm = []
+
+    @classmethod
+    def shared(cls, container: SharedContainer) -> SharedContainerForm:
+        sections = [SectionForm.of(section) for section in container.sections]
+        program = container.program
+        return cls(run=program.run, package=program.package, name=container.name, sections=sections)
+
+    def container(self) -> SharedContainer:
+        return SharedContainer(self.name, self.program(), tuple(form.section() for form in self.sections))
 
 
 class InstanceForm(Form, frozen=True):
@@ -34,6 +54,8 @@ class InstanceForm(Form, frozen=True):
     component: NamedComponentForm
     parameters: dict[str, ValueForm]
     sections: SectionsForm = []
+    container: SharedContainerForm | UnsetType = UNSET
+    process: str = ""
 
     @classmethod
     def of(cls, instance: Instance) -> InstanceForm:
@@ -43,12 +65,16 @@ class InstanceForm(Form, frozen=True):
             component=NamedComponentForm.of(instance.component),
             parameters=values_form(instance.parameters),
             sections=[SectionForm.of(section) for section in instance.sections],
+            container=UNSET if instance.container is None else SharedContainerForm.shared(instance.container),
+            process=instance.process,
         )
 
     def instance(self) -> Instance:
         """Raises SpecificationError where its component is faulty, ValueError where a parameter is."""
         sections = tuple(form.section() for form in self.sections)
-        return Instance(self.name, self.role, self.component.checked(), values_of(self.parameters), sections)
+        values = values_of(self.parameters)
+        container = None if self.container is UNSET else self.container.container()
+        return Instance(self.name, self.role, self.component.checked(), values, sections, container, self.process)
 
 
 class ConfigurationForm(Form, frozen=True):

@@ -7,9 +7,10 @@
      "resources":   {"gpu_memory": {"capacity": 8192}},
      "environment": {"camera": {"guarantee": {"type": …}}, "recording": {"guarantee": {…}, "topic": "/odom"}},
      "components":  {"Talker": …},
+     "containers":  {"pipeline": {"run": "component_container_mt", "package": "rclcpp_components"}},
      "nodes":       {"talker": {"component": "Talker", "attachments": {"out": ["/chatter"]},
                                 "parameters": {"threshold": 0.5},
-                                "respawn": {"delay_seconds": 2, "fallback": "SimpleTalker"}}},
+                                "respawn": {"delay_seconds": 2, "fallback": "SimpleTalker"}, "container": "pipeline"}},
      "constraints": [{"keep": "talker.talk", "at": "normal"}, {"limit": "talker.talk", "below_baseline_seconds": 2},
                      {"order": "talker", "before": "listener"}],
      "timing_seconds": {"create": 0.5},
@@ -28,7 +29,7 @@ import msgspec
 from immutables import Map
 from msgspec import UNSET, Meta, UnsetType
 
-from midstride.codec.component_form import ComponentForm
+from midstride.codec.component_form import ComponentForm, ContainerForm
 from midstride.codec.contract_form import (
     MessageType,
     PredicateForm,
@@ -239,6 +240,9 @@ class NodeForm(Form, frozen=True):
     ] = {}
     respawn: RespawnForm | UnsetType = UNSET
     sections: SectionsForm = []
+    container: (
+        Annotated[str, field("the name of a container", "what loads it beside other nodes", min_length=1)] | UnsetType
+    ) = UNSET
 
     @classmethod
     def of(cls, node: Node, specification: Specification) -> NodeForm:
@@ -251,6 +255,7 @@ class NodeForm(Form, frozen=True):
             parameters=values_form(node.parameters),
             respawn=UNSET if node.respawn is None else RespawnForm.of(node.respawn),
             sections=[SectionForm.of(section) for section in node.sections],
+            container=stated(node.container),
         )
 
     def node(self, role: str) -> Node:
@@ -258,7 +263,8 @@ class NodeForm(Form, frozen=True):
         topics = {port: tuple(names) for port, names in self.attachments.items()}
         policy = None if self.respawn is UNSET else self.respawn.policy()
         sections = tuple(form.section() for form in self.sections)
-        return Node(role, self.component, Map(topics), values_of(self.parameters), policy, sections)
+        values = values_of(self.parameters)
+        return Node(role, self.component, Map(topics), values, policy, sections, given(self.container))
 
 
 class ConstraintForm(ShapedForm, frozen=True):
@@ -366,6 +372,14 @@ class SpecificationForm(Form, frozen=True):
         by_name("an object of guarantees of the environment", "what holds without any node"),
     ] = {}
     components: Annotated[dict[str, ComponentForm], by_name("an object of components", "types of nodes")] = {}
+    containers: Annotated[
+        dict[str, ContainerForm],
+        by_name(
+            "an object of containers",
+            "what composable nodes share, by name, namespaces in front",
+            f"{TOKEN}(/{TOKEN})*",
+        ),
+    ] = {}
     nodes: Annotated[
         dict[str, NodeForm],
         by_name("an object of nodes", "the nodes, by name, namespaces in front", f"{TOKEN}(/{TOKEN})*"),
@@ -404,6 +418,7 @@ class SpecificationForm(Form, frozen=True):
                 for offer in specification.environment
             },
             components={name: ComponentForm.of(found) for name, found in sorted(specification.components.items())},
+            containers={name: ContainerForm.of(found) for name, found in sorted(specification.containers.items())},
             nodes={role: NodeForm.of(node, specification) for role, node in sorted(specification.nodes.items())},
             constraints=[ConstraintForm.of(constraint) for constraint in specification.constraints],
             timing_seconds=TimingForm(**timing) if timing else UNSET,
@@ -423,6 +438,7 @@ class SpecificationForm(Form, frozen=True):
                 }
             ),
             components=Map({name: form.component(name) for name, form in self.components.items()}),
+            containers=Map({name: form.program() for name, form in self.containers.items()}),
             nodes=Map({role: form.node(role) for role, form in self.nodes.items()}),
             environment=tuple(
                 EnvironmentGuarantee(name, form.guarantee.predicate(), given(form.topic))

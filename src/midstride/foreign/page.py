@@ -165,14 +165,22 @@ class Page:
         return sorted(found, key=lambda port: int(port.number))
 
     def ros_nodes(self, index: int) -> list[str] | None:
-        """The full names of all ROS nodes of the process that was started as the node ``index``, sorted.
+        """The full names of the ROS nodes that the node ``index`` stands for, sorted.
 
-        A name that several have occurs as often. None where the page had no room for one of them.
+        They are all of a process, but those that are other nodes of the page, and what their components have made. A
+        name that several have occurs as often. None where the page had no room for one of the process.
         """
-        if self.layout.nodes[index].unlisted:
+        if self.layout.nodes[self.layout.nodes[index].process - 1].unlisted:
             return None
         found = (port for port in self.every_port() if port.node == index + 1 and port.kind == NODE)
         return sorted(port.topic.decode() for port in found)
+
+    def loads(self, process: int, index: int | None) -> None:
+        """The container that was started as the node ``process`` is asked to load the node ``index``; None: no more.
+
+        What its thread creates meanwhile belongs to that node.
+        """
+        self.layout.nodes[process].loading = 0 if index is None else index + 1
 
     def every_port(self) -> Iterator[PagePort]:
         """The ports of all nodes, and the free ones."""
@@ -358,7 +366,7 @@ class Page:
 
     def mark(self, index: int) -> bytes | None:
         """The identity by which the graph shows the first publisher of the process; None until there is one."""
-        node = self.layout.nodes[index]
+        node = self.layout.nodes[self.layout.nodes[index].process - 1]
         return bytes(node.mark) if node.marked else None
 
     # -- goals of ROS actions --------------------------------------------------------------------------

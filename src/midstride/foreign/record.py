@@ -30,6 +30,8 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     ``role``: what it is an instance of. ``unnamed``: its program gives the node its name itself, and it was not passed
     one; ``node`` is empty until it is found. ``container``: the full name of the node that has loaded it, if any.
     ``importing``: the process whose state it was asked to import; ``imported``: that whose state it has imported.
+    ``process``: the name of the container's process that it shares with others, if any, and ``process_index`` its part
+    in the page.
     ``revision`` counts its changes.
     """
 
@@ -60,6 +62,8 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     container: str = ""
     importing: str = ""
     imported: str = ""
+    process: str = ""
+    process_index: int | None = None
     revision: int = 0
 
     @property

@@ -128,9 +128,11 @@ class _Builder:
             lines.append(functionality.name)
             if self.annotate:
                 lines += [f"  {mode.name}: {_mode(mode)}" for mode in functionality.modes]
+        title = role if component.name.lower() == role.lower() else f"{role} : {component.name}"
+        container = self.specification.nodes[role].container
         return Box(
             f"node {role}",
-            role if component.name.lower() == role.lower() else f"{role} : {component.name}",
+            title if container is None else f"{title} in {container}",
             inputs=tuple(
                 Port(name, self._note(component.inputs[name]), component.kind_of(name))
                 for name in component.input_order

@@ -306,10 +306,12 @@ MODEL: Final = (
         lifecycle node states how long it may take to `activate`; or a lifecycle manager of the system, such as Nav2's,
         has a node in its `node_names` that has `gate lifecycle`, so that two would manage it; or a composable node
         (`run component`) has no package, no gate, `gate relay`, `once`, `unnamed`, `renames`, or intra-process
-        communication, which goes past the gate. A parameter of a mode is declared in the component, with a value of the
+        communication, which goes past the gate; or a node is `in` a container whose component is none, or states what
+        only a process has. A parameter of a mode is declared in the component, with a value of the
         same type, and belongs to the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
+        STARTED.replace("component", "container box\ncomponent") + NODE.replace(" {", " in box {"),
         STARTED.replace('talker"', 'talker" gate relay').replace(
             "output out", "output out\n  client reset : std_srvs/srv/Trigger"
         )

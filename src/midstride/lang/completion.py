@@ -24,7 +24,7 @@ _STATEMENTS: Final = {
     "": (*_TOP_LEVEL, "parameters"),
     "namespace": (*_TOP_LEVEL, "parameters"),
     "component": (
-        *(word for word, where in KEYWORD_PLACES.items() if where == "in a component"),
+        *(word for word, where in KEYWORD_PLACES.items() if where.startswith("in a component")),
         *("action server", "action client", "parameters", "environment"),
     ),
     "functionality": ("uses", "produces", "mode"),
@@ -33,6 +33,7 @@ _STATEMENTS: Final = {
     "environment": ("guarantee",),
     "timing": TIMING,
     "topic": ("publishers",),
+    "container": ("run",),
     "parameters": ("changeable",),
 }
 
@@ -135,6 +136,8 @@ class _CursorContext:
             yield "keyword", GATES
         elif first == "run" and last == "stop":
             yield "keyword", ("drain", "patience", "sigterm", "sigkill")
+        elif first == "node" and last == "in":
+            yield "container", declarations.containers
         elif last == "holds":
             yield "resource", declarations.resources
         elif self.statement in (["keep"], ["limit"]) or (first == "order" and last in {"order", "before"}):

@@ -219,7 +219,7 @@ class ComponentBuilder:
             activate_seconds=None if run is None or run.activate is None else run.activate.value,
             stop=None if run is None or run.stop is None else _stop_times(run.stop),
             lazy=[output.text for output in declaration.lazy],
-            container=None if run is None else _container(run.container),
+            container=None if run is None or run.container is None else container_program(run.container),
         )
 
     def _functionality(
@@ -340,9 +340,10 @@ def _served_again(
     return tuple(each for each in served if each.name.text not in stated)
 
 
-def _container(clause: syntax.ContainerClause | None) -> ContainerProgram | None:
-    if clause is None or clause.program is None:
-        return None if clause is None else DEFAULT_CONTAINER
+def container_program(clause: syntax.ContainerClause) -> ContainerProgram:
+    """The program of a container, which is the default where none is stated."""
+    if clause.program is None:
+        return DEFAULT_CONTAINER
     package = DEFAULT_CONTAINER.package if clause.package is None else clause.package.text
     return ContainerProgram(clause.program.text, package)
 

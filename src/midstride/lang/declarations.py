@@ -58,6 +58,7 @@ class Declarations:
     components: dict[str, syntax.ComponentDeclaration] = field(default_factory=dict)
     resources: dict[str, syntax.ResourceDeclaration] = field(default_factory=dict)
     topics: dict[str, syntax.TopicDeclaration] = field(default_factory=dict)
+    containers: dict[str, syntax.ContainerDeclaration] = field(default_factory=dict)
     offers: dict[str, OfferEntry] = field(default_factory=dict)
     nodes: dict[str, NodeEntry] = field(default_factory=dict)
     constraints: list[tuple[str, syntax.ConstraintStatement]] = field(default_factory=list)
@@ -116,6 +117,8 @@ class _Collector:
                     self._add(found.components, name.text, item, name, "component")
                 case syntax.ResourceDeclaration(name=name):
                     self._add(found.resources, name.text, item, name, "resource")
+                case syntax.ContainerDeclaration(name=name):
+                    self._add(found.containers, resolve_name(namespace, name.text), item, name, "container")
                 case syntax.EnvironmentOffer(name=name):
                     full = resolve_name(namespace, name.text).replace("/", "_")
                     if len(found.offers) < MAX_PARTS:

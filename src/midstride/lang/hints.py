@@ -27,6 +27,7 @@ _DECLARATIONS: Final = {
     "topics": "topic {name} : TYPE",
     "resources": "resource {name} = CAPACITY",
     "components": "component {name} {{ … }}",
+    "containers": "container {name}",
 }
 
 

@@ -76,6 +76,8 @@ class _Hover:
         if node is None or node.component not in self.specification.components:
             return
         yield f"component `{node.component}`"
+        if node.container is not None:
+            yield f"in the container `{node.container}`"
         if node.respawn is not None:
             yield f"respawn: {node.respawn}"
         for functionality in self.specification.components[node.component]:
@@ -116,6 +118,12 @@ class _Hover:
                     yield f"guarantees `{output} : {given}`"
                 for parameter, value in sorted(mode.parameters.items()):
                     yield f"sets `{parameter} = {value!r}`"
+
+    def container(self, symbol: Symbol) -> Iterator[str]:
+        program = self.specification.containers.get(symbol.name)
+        if program is not None:
+            yield f"`{program.run}` of package {program.package}"
+            yield f"loads {', '.join(f'`{role}`' for role in self.specification.members_of(symbol.name)) or 'no node'}"
 
     def resource(self, symbol: Symbol) -> Iterator[str]:
         declared = self.specification.resources.get(symbol.name)

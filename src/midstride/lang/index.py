@@ -73,6 +73,8 @@ class SymbolIndex:
             yield from self._contract(contract.contract)
         for name, resource in found.resources.items():
             yield Occurrence(Symbol("resource", name), resource.name.span, True)
+        for name, container in found.containers.items():
+            yield Occurrence(Symbol("container", name), container.name.span, True)
         for name, topic in found.topics.items():
             within = "" if topic.name.text.startswith("/") else name.removesuffix(topic.name.text).strip("/")
             yield Occurrence(Symbol("topic", name), topic.name.span, True, within)
@@ -163,6 +165,9 @@ class SymbolIndex:
         yield Occurrence(Symbol("node", entry.role), declared.name.span, True)
         if declared.component is None:
             return
+        if declared.container is not None:
+            name = resolve_name(entry.namespace, declared.container.text)
+            yield Occurrence(Symbol("container", name), declared.container.span, namespace=entry.namespace)
         fallbacks = (statement.component for statement in declared.respawn)
         for component in filter(None, (declared.component, *fallbacks)):
             yield Occurrence(Symbol("component", component.text), component.span)

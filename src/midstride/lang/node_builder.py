@@ -16,7 +16,7 @@ from midstride.lang.parameter_files import SectionInFile, read_sections, section
 from midstride.lang.rcl_parameters import KEY, ParameterValueAt
 from midstride.lang.respawn_builder import respawn_policy
 from midstride.lang.source import Source, Span
-from midstride.lang.source_files import Bounds, FileReader, Unreadable, read_source, shown_path
+from midstride.lang.source_files import Bounds, FileReader, Unreadable, read_source, resolve_name, shown_path
 from midstride.lang.syntax import ComponentDeclaration, Name, ParameterEntry
 from midstride.lang.yaml_events import InvalidYaml
 from midstride.model.component import ROS_PARAMETERS, ComponentSpec, ParameterSection, ParameterSpec, ParameterValue
@@ -128,7 +128,8 @@ class NodeBuilder:
         sections = () if component is None or component.gate is None else tuple(self._other_sections(stated))
         policy = respawn_policy(declaration.respawn, self.reporter)
         values = Map({text: each.value for text, each in stated.values.items()})
-        return Node(entry.role, name, self._attachments(entry), values, policy, sections)
+        container = None if (inside := declaration.container) is None else resolve_name(entry.namespace, inside.text)
+        return Node(entry.role, name, self._attachments(entry), values, policy, sections, container)
 
     def _other_sections(self, stated: _Stated) -> Iterator[ParameterSection]:
         """The sections that a further node in the process may read, which is none of the system's own nodes.

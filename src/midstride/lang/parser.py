@@ -14,7 +14,7 @@ from midstride.lang.blocks import Handlers
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.lexer import tokenize
 from midstride.lang.parse_component import ComponentParser
-from midstride.lang.source import Source
+from midstride.lang.source import Source, Span
 from midstride.lang.token_stream import RESPAWN_WORDS, Panic
 from midstride.model.contract import ConnectorKind
 from midstride.model.wording import KIND_WORDS, indefinite
@@ -55,6 +55,7 @@ class Parser(ComponentParser):
             "service": lambda start: items.append(self._topic(start, "service")),
             "action": lambda start: items.append(self._topic(start, "action")),
             "resource": lambda _: items.append(self._resource()),
+            "container": lambda start: items.append(self._container_declaration(start)),
             "environment": lambda start: self._environment(start, items),
             "component": lambda start: items.append(self.component(start)),
             "node": lambda start: items.append(self._node(start)),
@@ -126,6 +127,24 @@ class Parser(ComponentParser):
         capacity = self.number("a capacity") if self.accept("=") else None
         return syntax.ResourceDeclaration(name, capacity)
 
+    def _container_declaration(self, first: int) -> syntax.ContainerDeclaration:
+        name = self.topic("a container name")
+        found: list[tuple[Span, syntax.ContainerClause]] = []
+
+        def run(start: int) -> None:
+            program = self.text("the program of a component container in double quotes after `run`")
+            clause = syntax.ContainerClause(program, self._package())
+            if found:
+                self.reporter.report(
+                    "E128", self.span(start), "duplicate `run` of a container", help="keep one of them"
+                )
+            found.append((self.span(start), clause))
+
+        if self.kinds[self.i] == "{":
+            self.block(f"container `{name.text}`", first, {"run": run})
+        span, clause = found[0] if found else (None, syntax.ContainerClause(None, None))
+        return syntax.ContainerDeclaration(name, span, clause)
+
     def _environment(self, first: int, items: list[syntax.Item]) -> None:
         def offer(_: int) -> None:
             name = self.name("the name of a guarantee", (":",))
@@ -140,6 +159,7 @@ class Parser(ComponentParser):
     def _node(self, first: int) -> syntax.NodeDeclaration:
         name = self.name("a node name", (":",))
         component: syntax.Name | None = None
+        container: syntax.Name | None = None
         attachments: list[syntax.Attachment] = []
         parameters: list[syntax.ParameterEntry] = []
         files: list[syntax.Name] = []
@@ -153,6 +173,8 @@ class Parser(ComponentParser):
         try:
             self.expect(":", f"after node `{name.text}`", ("name",))
             component = self.name("a component name", ("{",))
+            if self.accept_word("in"):
+                container = self.topic("the name of a container after `in`")
             if self.kinds[self.i] == "{":
                 self.layout.marks[self.i] = "node {"
                 what = f"node `{name.text}`"
@@ -161,7 +183,7 @@ class Parser(ComponentParser):
             self._skip_statement(first)
             incomplete = True
         return syntax.NodeDeclaration(
-            name, component, tuple(attachments), tuple(parameters), tuple(files), tuple(respawn), incomplete
+            name, component, tuple(attachments), tuple(parameters), tuple(files), tuple(respawn), incomplete, container
         )
 
     def _respawn(self, statements: list[syntax.RespawnStatement], word: str, start: int) -> None:

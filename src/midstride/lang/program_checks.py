@@ -15,7 +15,8 @@ from typing import Final
 
 from midstride.ament_index import component_library, executable
 from midstride.errors import StartFailed
-from midstride.model.diagnostics import Problem
+from midstride.model.component import ContainerProgram
+from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Specification
 
@@ -28,6 +29,9 @@ _WITH_VALUE: Final = ("-W", "-X")
 def missing_programs(specification: Specification, folder: Path) -> Iterator[Problem]:
     """W161 for each `run` that names what is not there; ``folder`` is that of the system's file."""
     seen = set()
+    for name, shared in sorted(specification.containers.items()):
+        yield from _container(shared, ("containers", name), f"container {name}")
+    alone = {node.component for node in specification.nodes.values() if node.container is None}
     for name, component in sorted(specification.components.items()):
         key = component.run, component.package, component.container
         if component.run is None or key in seen:
@@ -43,17 +47,21 @@ def missing_programs(specification: Specification, folder: Path) -> Iterator[Pro
             except StartFailed as error:
                 message = f"component {name} runs `{component.run}`, but {error}"
                 yield Problem("W161", ("components", name, "package"), message)
-            if (container := component.container) is not None:
-                try:
-                    executable(container.package, shlex.split(container.run)[0], os.environ)
-                except StartFailed as error:
-                    message = f"component {name} is loaded by `{container.run}`, but {error}"
-                    yield Problem("W161", ("components", name, "container", "run"), message)
+            if component.container is not None and name in alone:
+                yield from _container(component.container, ("components", name, "container"), f"component {name}")
             continue
         for file in _files(shlex.split(component.run)):
             if not (folder / file).exists():
                 message = f"component {name} runs `{component.run}`, but there is no file {folder / file}"
                 yield Problem("W161", ("components", name, "run"), message, _help(folder / file))
+
+
+def _container(program: ContainerProgram, path: SubjectPath, what: str) -> Iterator[Problem]:
+    try:
+        executable(program.package, shlex.split(program.run)[0], os.environ)
+    except StartFailed as error:
+        verb = "is loaded by" if path[0] == "components" else "runs"
+        yield Problem("W161", (*path, "run"), f"{what} {verb} `{program.run}`, but {error}")
 
 
 def _files(words: Sequence[str]) -> Iterator[str]:

@@ -48,6 +48,8 @@ class SourceMap:
             case ("resources", name, *rest) if name in found.resources:
                 resource = found.resources[name]
                 return resource.name.span if resource.capacity is None or not rest else resource.capacity.span
+            case ("containers", name, *rest) if name in found.containers:
+                return _shared_container(found.containers[name], rest)
             case ("constraints", index, *rest) if _within(found.constraints, index):
                 return _constraint(found.constraints[int(index)][1], rest, problem.declared[:1] == ("nodes",))
             case ("changes_require", index, *rest) if _within(found.requirements, index):
@@ -61,6 +63,8 @@ class SourceMap:
         match rest:
             case ["component", *_] if declaration.component is not None:
                 return declaration.component.span
+            case ["container"] if declaration.container is not None:
+                return declaration.container.span
             case ["parameters", name, *_]:
                 return self.parameters.get((role, name), declaration.name.span)
             case ["respawn", *inner]:
@@ -71,6 +75,16 @@ class SourceMap:
                 if attachments:
                     return _nth(topics, inner, attachments[0].port.span)
         return declaration.name.span
+
+
+def _shared_container(declaration: syntax.ContainerDeclaration, rest: Subject) -> Span:
+    clause = declaration.clause
+    match rest:
+        case ["run", *_] if clause.program is not None:
+            return clause.program.span
+        case ["package", *_] if clause.package is not None:
+            return clause.package.span
+    return declaration.name.span
 
 
 def _constraint(statement: syntax.ConstraintStatement, rest: Subject, of_node: bool) -> Span:

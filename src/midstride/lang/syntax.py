@@ -266,6 +266,14 @@ class ResourceDeclaration(NamedTuple):
     capacity: Number | None
 
 
+class ContainerDeclaration(NamedTuple):
+    """``container NAME { run "PROGRAM" package "PACKAGE" }``; what is in the braces may be left out."""
+
+    name: Name
+    run: Span | None
+    clause: ContainerClause
+
+
 class EnvironmentOffer(NamedTuple):
     name: Name
     topic: Name | None
@@ -300,6 +308,7 @@ class NodeDeclaration(NamedTuple):
     files: tuple[Name, ...]
     respawn: tuple[RespawnStatement, ...]
     incomplete: bool
+    container: Name | None = None
 
 
 class NamespaceBlock(NamedTuple):
@@ -360,8 +369,8 @@ class StepDuration(NamedTuple):
 ConstraintStatement: TypeAlias = "KeepStatement | LimitStatement | OrderStatement"
 Item: TypeAlias = (
     "IncludeStatement | ContractDeclaration | TopicDeclaration | ResourceDeclaration | EnvironmentOffer"
-    " | ComponentDeclaration | NodeDeclaration | NamespaceBlock | ParameterFile | ConstraintStatement | StepDuration"
-    " | ChangesStatement"
+    " | ContainerDeclaration | ComponentDeclaration | NodeDeclaration | NamespaceBlock | ParameterFile"
+    " | ConstraintStatement | StepDuration | ChangesStatement"
 )
 
 

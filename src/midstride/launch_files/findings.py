@@ -19,7 +19,7 @@ KINDS: Final = {
     "substitution": "a substitution has no known value; what needs it is left out",
     "command": "a command is not carried out, or has failed; what needs its output is left out",
     "later": "a process is started later, or by an event; here it follows what it waits for",
-    "composable": "a component in a container is left out, or gets a process of its own (`--containers split`)",
+    "composable": "a component, or its container, has lost something; or it is left out (`--containers omit`)",
     "parameters": "a parameter or a parameter file is left out",
     "name": "a node has no name, or one that another node or the language uses; it gets another name",
     "lifecycle": "a lifecycle manager manages nodes, and goes on, or Midstride does, as of a node that no manager has",

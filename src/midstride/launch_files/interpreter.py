@@ -35,7 +35,7 @@ class Interpreter(NodeElements):
         findings: ImportFindings,
         arguments: Mapping[str, str],
         run_python: bool = False,
-        containers: Containers = "omit",
+        containers: Containers = "keep",
     ) -> None:
         super().__init__(files, findings, containers)
         self.undeclared = dict(arguments)

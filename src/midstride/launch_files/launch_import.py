@@ -14,7 +14,7 @@ from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, IncludeTrace
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.interpreter import Interpreter
-from midstride.launch_files.launched_containers import Containers, split_containers
+from midstride.launch_files.launched_containers import Containers, keep_containers, split_containers
 from midstride.launch_files.launched_parameters import ParameterReader
 from midstride.launch_files.packages import Packages
 from midstride.launch_files.writer import SpecificationDraft, system_name
@@ -44,7 +44,7 @@ def import_launch_file(
     run_python: bool = False,
     run_commands: bool = False,
     management: Management = "manager",
-    containers: Containers = "omit",
+    containers: Containers = "keep",
 ) -> Imported:
     """The specification, which is to be written to ``target``. Raises SpecificationError if ``path`` is no launch file.
 
@@ -62,7 +62,7 @@ def import_launch_file(
         interpreter.main(absolute, context)
     except UnknownValue as error:
         raise SpecificationError(f"cannot import {path}: {error}") from None
-    split_containers(interpreter.system, findings)
+    (keep_containers if containers == "keep" else split_containers)(interpreter.system, findings)
     start = Span(files.source(absolute), 0, 0)
     for name in interpreter.undeclared:
         findings.add("argument", f"no launch file that was read declares `{name}`", start)

@@ -1,4 +1,4 @@
-"""Composable nodes in launch files: each gets its own process, in which a container of its kind loads it."""
+"""Composable nodes in launch files: they share the process of their container, or each gets one for itself."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final, Literal, TypeAlias, get_args
 
+from midstride.lang.source import Span
 from midstride.launch_files.context import ParametersGiven
 from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem, LoadedNode
 from midstride.model.component import DEFAULT_CONTAINER, ContainerProgram
 
-# What becomes of the composable nodes that share a process: they are left out, or each gets its own.
-Containers: TypeAlias = Literal["omit", "split"]
+# What becomes of the composable nodes that share a process: they do, or each gets its own, or they are left out.
+Containers: TypeAlias = Literal["keep", "split", "omit"]
 CONTAINERS: Final[tuple[Containers, ...]] = get_args(Containers)
 _INTRA_PROCESS: Final = "use_intra_process_comms:="
 
@@ -21,7 +22,56 @@ _INTRA_PROCESS: Final = "use_intra_process_comms:="
 def left_out(plugin: str) -> str:
     """Say that a component is left out, and what takes it over."""
     message = f"the component `{plugin}` is left out: it would share the process of its container"
-    return f"{message}; with `--containers split`, it has one of its own"
+    return f"{message}; with `--containers keep` it does, and with `--containers split` it has its own"
+
+
+def keep_containers(system: LaunchedSystem, findings: ImportFindings) -> None:
+    """Have each node that a container loads share its process, as in the launch file."""
+    started = {f"/{node.role}": node for node in system.nodes}
+    for target in dict.fromkeys(each.target for each in system.loaded):
+        container, name = started.get(target), target.strip("/") or "container"
+        loaded = [each for each in system.loaded if each.target == target]
+        span = (container or loaded[0].node).span
+        if container is not None:
+            system.nodes.remove(container)
+        if any(node.role == name for node in (*system.nodes, *(each.node for each in system.loaded))):
+            name = f"{name}_container"
+        system.containers[name] = _program(container, f"the container `{name}`", span, findings)
+        system.nodes += [_shared(each, container, name) for each in loaded]
+        for message in _kept_in_words(name, container, loaded):
+            findings.add("composable", message, span, left_out=False)
+        if container is not None and (container.environment or container.prefix):
+            message = f"the environment and the prefix of the container `{name}` are left out"
+            findings.add("unsupported", message, span)
+
+
+def _shared(loaded: LoadedNode, container: LaunchedNode | None, name: str) -> LaunchedNode:
+    """The node in the container ``name``, which is started as ``container`` is."""
+    node = replace(loaded.node, extra=_serialized(loaded.node), shares=name)
+    if container is None:
+        return node
+    return replace(
+        node,
+        settings=(*_of_further_nodes(node, container), *node.settings),
+        respawn=container.respawn,
+        later=node.later or container.later,
+        at=max(node.at, container.at),
+    )
+
+
+def _serialized(node: LaunchedNode) -> tuple[str, ...]:
+    """The extra arguments without that for communication within the process, which passes the gate."""
+    return tuple(each for each in node.extra if not each.startswith(_INTRA_PROCESS))
+
+
+def _program(container: LaunchedNode | None, what: str, span: Span, findings: ImportFindings) -> ContainerProgram:
+    if container is None:
+        return DEFAULT_CONTAINER
+    if container.package:
+        return ContainerProgram(replace(container, container=None).run(), container.package)
+    message = f"{what} is `{DEFAULT_CONTAINER.run}` here: in the launch file it is no program of a package"
+    findings.add("composable", message, span)
+    return DEFAULT_CONTAINER
 
 
 def split_containers(system: LaunchedSystem, findings: ImportFindings) -> None:
@@ -39,19 +89,12 @@ def split_containers(system: LaunchedSystem, findings: ImportFindings) -> None:
 
 def _alone(loaded: LoadedNode, container: LaunchedNode | None, findings: ImportFindings) -> LaunchedNode:
     """The node with its own process, which is started as its ``container`` is."""
-    extra = tuple(each for each in loaded.node.extra if not each.startswith(_INTRA_PROCESS))
-    node = replace(loaded.node, extra=extra)
+    node = replace(loaded.node, extra=_serialized(loaded.node))
     if container is None:
         return node
-    program = DEFAULT_CONTAINER
-    if container.package:
-        program = ContainerProgram(replace(container, container=None).run(), container.package)
-    else:
-        message = f"`{node.role}` is loaded by `{DEFAULT_CONTAINER.run}`: its container is no program of a package"
-        findings.add("composable", message, node.span)
     return replace(
         node,
-        container=program,
+        container=_program(container, f"the container of `{node.role}`", node.span, findings),
         settings=(*_of_further_nodes(node, container), *node.settings),
         environment={**container.environment},
         prefix=container.prefix,
@@ -75,6 +118,18 @@ def _in_words(target: str, container: LaunchedNode | None, loaded: Sequence[Load
         where += ", which is started elsewhere,"
     alone = "a process of its own" if len(loaded) == 1 else "a process each"
     yield f"{names} of {where} get{'s' if len(loaded) == 1 else ''} {alone}, and the container is left out"
+    yield from _lost(where, container, loaded)
+
+
+def _kept_in_words(name: str, container: LaunchedNode | None, loaded: Sequence[LoadedNode]) -> Iterator[str]:
+    where = f"the container `{name}`"
+    if container is None:
+        yield f"{where} is started elsewhere; here it is `{DEFAULT_CONTAINER.run}`, with what is named for it alone"
+    yield from _lost(where, container, loaded)
+
+
+def _lost(where: str, container: LaunchedNode | None, loaded: Sequence[LoadedNode]) -> Iterator[str]:
+    """Yield what the nodes had in the launch file, and have not here."""
     shared = [f"`{each.node.role}`" for each in loaded if any(_is_intra_process(extra) for extra in each.node.extra)]
     if len(shared) > 1:
         yield (

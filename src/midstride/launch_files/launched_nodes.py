@@ -28,7 +28,8 @@ class LaunchedNode:
     inherit. ``later``: what it waits for, if it is started after others, and ``at`` how long after the first ones (s),
     infinite if it follows the end of a process. ``state``: to which state the launch file takes a lifecycle node; empty
     for any other node. ``container``: the program that loads a composable node, whose class is the first word of
-    ``command``, and ``extra`` what only containers take (``NAME:=VALUE``).
+    ``command``, and ``extra`` what only containers take (``NAME:=VALUE``). ``shares``: the name of the container
+    that it is in with others, with its namespaces; empty where it has one for itself.
     """
 
     name: str
@@ -51,6 +52,7 @@ class LaunchedNode:
     state: str = ""
     container: ContainerProgram | None = None
     extra: tuple[str, ...] = ()
+    shares: str = ""
 
     @property
     def role(self) -> str:
@@ -77,9 +79,11 @@ class LoadedNode:
 class LaunchedSystem:
     """The system that a launch file starts: processes, and the nodes that are ``loaded`` into containers.
 
-    ``files``: how many launch files were read. A loaded node that gets its own process is among the ``nodes``.
+    ``files``: how many launch files were read. A loaded node that is taken over is among the ``nodes``. ``containers``:
+    the programs of those that several nodes share, by name.
     """
 
     nodes: list[LaunchedNode] = field(default_factory=list)
     loaded: list[LoadedNode] = field(default_factory=list)
     files: int = 0
+    containers: dict[str, ContainerProgram] = field(default_factory=dict)

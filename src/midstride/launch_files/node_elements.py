@@ -43,7 +43,7 @@ class NodeElements(ElementAttributes):
     what becomes of composable nodes.
     """
 
-    def __init__(self, files: ReadableFiles, findings: ImportFindings, containers: Containers = "omit") -> None:
+    def __init__(self, files: ReadableFiles, findings: ImportFindings, containers: Containers = "keep") -> None:
         super().__init__(files, findings)
         self._containers = containers
         self.system = LaunchedSystem()
@@ -228,7 +228,7 @@ class NodeElements(ElementAttributes):
             label = str(component.attributes.get("plugin", "a component"))
             try:
                 applies = self.applies(component, context)
-                if applies and self._containers == "split":
+                if applies and self._containers != "omit":
                     self._add_loaded(self._composable(component, context), target or "")
             except UnknownValue as error:
                 applies = self._containers == "omit"  # also what it would be is left out

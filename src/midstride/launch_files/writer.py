@@ -83,6 +83,8 @@ class SpecificationDraft:
             if component not in written:
                 written.add(component)
                 lines += [f"# {on_one_line(_place(node))}", f"component {component} {{", *bodies[node.role], "}", ""]
+        for name, program in sorted(self._launched.containers.items()):
+            lines.append(f"container /{name} {{ run {quoted(program.run)} package {quoted(program.package)} }}")
         for namespace in dict.fromkeys(node.namespace for node in sorted(nodes, key=lambda node: node.namespace != "")):
             if namespace:
                 word = "/" if namespace in RESERVED else ""  # as a path, it is a name
@@ -91,7 +93,8 @@ class SpecificationDraft:
                 if node.namespace == namespace:
                     stated = [*self._respawn(node), *self._values(node, parameters[node.role].replaced)]
                     block = " {\n" + "\n".join(stated) + "\n}" if stated else ""
-                    lines.append(f"node {node.name} : {names[node.role]}{block}")
+                    inside = f" in /{node.shares}" if node.shares else ""
+                    lines.append(f"node {node.name} : {names[node.role]}{inside}{block}")
             lines.append("}\n" if namespace else "")
         lines += self._order(nodes)
         lines += [f"order {_path(one)} before {_path(other)}" for one, other in lifecycle.orders]

@@ -126,6 +126,18 @@ class ParameterSection:
         return _section_regex(self.pattern).fullmatch("/" + node.strip("/")) is not None
 
 
+@dataclass(frozen=True, slots=True)
+class SharedContainer:
+    """A container that several composable nodes of a system share: its name, with the namespaces, and its program.
+
+    ``sections``: parameters of the nodes that its components make themselves, which read what its process is given.
+    """
+
+    name: str
+    program: ContainerProgram = DEFAULT_CONTAINER
+    sections: tuple[ParameterSection, ...] = ()
+
+
 @lru_cache(maxsize=4096)
 def _section_regex(pattern: str) -> re.Pattern[str]:
     # `/**` is a repetition because its first two characters alone are replaced.

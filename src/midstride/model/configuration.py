@@ -26,6 +26,7 @@ from midstride.model.component import (
     ParameterValue,
     PortRef,
     Resource,
+    SharedContainer,
 )
 from midstride.model.contract import Contract, Predicate
 
@@ -78,7 +79,9 @@ class Instance:
     """A running instance of a role's component. The first one has the role's name (docs/semantics.md section 6).
 
     ``parameters`` holds the value of every parameter: its component's where none is given. ``sections``: parameters of
-    further nodes in its process.
+    further nodes in its process. ``container``: the one of the system that loads it, where it shares one; ``process``
+    is then the name of the process of a container that it is in with others, and empty where it has one for itself, as
+    a replacement has that has left the others.
     """
 
     name: str
@@ -86,6 +89,8 @@ class Instance:
     component: ComponentSpec
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
     sections: tuple[ParameterSection, ...] = ()
+    container: SharedContainer | None = None
+    process: str = ""
 
     def __post_init__(self) -> None:
         declared = self.component.parameters

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 
-from midstride.model.component import DEFAULT_STOP, ComponentSpec, value_fits, value_kind
+from midstride.model.component import DEFAULT_CONTAINER, DEFAULT_STOP, ComponentSpec, value_fits, value_kind
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.lifecycle_management import managed_nodes
 from midstride.model.load_words import LoadWords
@@ -139,7 +139,7 @@ def _composable(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem
             yield Problem(_CODE, (*path, key), f"{name} is a composable node, and yet {what}", f"omit it: {why}")
     if component.gate not in (None, "none", "relay") and _is_intra_process(component):
         message = f"{name} has `use_intra_process_comms:=true`: what stays within its process goes past the gate"
-        help = "omit it: the node has a process of its own, so nothing else is in it"
+        help = "omit it: its messages then pass the gate, also to nodes of the same container"
         yield Problem(_CODE, (*path, "run"), message, help)
 
 
@@ -229,8 +229,25 @@ def managed_twice(specification: Specification) -> Iterator[Problem]:
                 yield Problem(_CODE, ("nodes", name.strip("/"), "component"), message, help)
 
 
+def _shared(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator[Problem]:
+    """Yield what a node cannot state of its process, as others are in that."""
+    where = f"{node.role} is in the container {node.container}"
+    if component.container != DEFAULT_CONTAINER:
+        message = f"{where}, and {component.name} states another program"
+        yield Problem(_CODE, path, message, 'omit `in "…"` after the package, or `in` here')
+    for what in (["a prefix"] if component.prefix else []) + (["an environment"] if component.environment else []):
+        message = f"{where}, and {component.name} states {what}, which only a process has"
+        yield Problem(_CODE, path, message, "omit it, or omit `in`: the node then has a process for itself")
+
+
 def gated_node_problems(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator[Problem]:
     """The problems of one node of ``component`` under ``path``."""
+    if node.container is not None and component.container is None:
+        message = f"{node.role} is in the container {node.container}, and {component.name} is no composable node"
+        help = 'state the class of its component: `run component "…" package "…" gate preload`; or omit `in`'
+        yield Problem(_CODE, (*path, "container"), message, help)
+    elif node.container is not None:
+        yield from _shared(component, node, (*path, "container"))
     if component.gate is None:
         return
     for port, topics in sorted(node.attachments.items()):

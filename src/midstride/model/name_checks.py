@@ -92,7 +92,7 @@ def _component_names(component: ComponentSpec, path: SubjectPath) -> Iterator[Pr
     if component.package is not None:
         yield from _package(component, component.package, path)
     if component.container is not None:
-        yield from _container(component.container, path)
+        yield from _container(component.container, (*path, "container"))
     if component.prefix is not None:
         yield from _command(component.prefix, (*path, "prefix"))
         if component.run is None:
@@ -137,14 +137,14 @@ def _package(component: ComponentSpec, package: str, path: SubjectPath) -> Itera
 
 
 def _container(container: ContainerProgram, path: SubjectPath) -> Iterator[Problem]:
-    where = (*path, "container", "run")
+    where = (*path, "run")
     yield from _command(container.run, where)
     if "/" in container.run.partition(" ")[0]:
         message = f"`{container.run}` names a file, and a container is an executable of a package"
         yield Problem("E009", where, message, 'name the executable: `in "component_container_mt"`')
     if not _PACKAGE.fullmatch(container.package):
         message = f"`{container.package}` is not a valid package name"
-        yield Problem("E009", (*path, "container", "package"), message)
+        yield Problem("E009", (*path, "package"), message)
 
 
 def _functionality_names(
@@ -235,6 +235,8 @@ def _specification_names(specification: Specification) -> Iterator[Problem]:
         for resource in sorted(component.resource_usage):
             holder: SubjectPath = ("components", name, "holds", resource)
             yield from _unknown("resource", resource, specification.resources, holder, ("resources",))
+    for name, program in sorted(specification.containers.items()):
+        yield from _shared_container(specification, name, program)
     for role, node in sorted(specification.nodes.items()):
         yield from _node_names(specification, node, ("nodes", role))
     for index in range(len(specification.constraints)):
@@ -243,6 +245,17 @@ def _specification_names(specification: Specification) -> Iterator[Problem]:
         yield from _invalid_topic(requirement.topic, ("changes_require", str(index), "topic"))
     for kind in sorted(specification.timing):
         yield from _unknown("kind of step", kind, TIMING, ("timing_seconds", kind), ())
+
+
+def _shared_container(specification: Specification, name: str, program: ContainerProgram) -> Iterator[Problem]:
+    path: SubjectPath = ("containers", name)
+    if not _ROLE.fullmatch(name) or len(name) > _LONGEST:
+        help = "write names joined by `/`, as in `robot1/pipeline`, without one in front"
+        yield Problem("E006", path, f"`{name}` is not a valid name of a container", help)
+    if name in specification.nodes:
+        message = f"`{name}` names both a container and a node: the container has a ROS node of its name"
+        yield Problem("E007", path, message, "use another name for one of them")
+    yield from _container(program, path)
 
 
 def node_names(specification: Specification, node: Node, path: SubjectPath) -> list[Problem]:
@@ -256,6 +269,9 @@ def _node_names(specification: Specification, node: Node, path: SubjectPath) -> 
         yield Problem("E006", path, f"`{node.role}` is not a valid node name", help)
     yield from _unknown("component", node.component, specification.components, (*path, "component"), ("components",))
     component = specification.components.get(node.component)
+    if node.container is not None:
+        known = specification.containers
+        yield from _unknown("container", node.container, known, (*path, "container"), ("containers",))
     if node.respawn is not None and node.respawn.fallback is not None:
         where = (*path, "respawn", "fallback")
         yield from _unknown("component", node.respawn.fallback, specification.components, where, ("components",))

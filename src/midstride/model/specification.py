@@ -14,15 +14,18 @@ from immutables import Map
 
 from midstride.model.best import best
 from midstride.model.component import (
+    DEFAULT_CONTAINER,
     ROS_PARAMETERS,
     ComponentSpec,
     Connector,
+    ContainerProgram,
     EnvironmentGuarantee,
     FunctionalityRef,
     ParameterSection,
     ParameterValue,
     PortRef,
     Resource,
+    SharedContainer,
 )
 from midstride.model.configuration import Configuration, Instance, SystemContext, configure
 from midstride.model.contract import Predicate, format_number
@@ -76,6 +79,7 @@ class Node:
 
     ``respawn``: whether and when it is started again after a crash (None: it is not). ``sections``: those of its
     parameter files for further nodes in its process, in their order, where its program does not use Midstride's API.
+    ``container``: the one of the system that loads it, where it is a composable node that shares its process.
     """
 
     role: str
@@ -84,6 +88,7 @@ class Node:
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
     respawn: RespawnPolicy | None = None
     sections: tuple[ParameterSection, ...] = ()
+    container: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +150,8 @@ class ChangeRequirement:
 class Specification:
     """Everything a ``.stride`` file declares. ``timing`` holds what is stated of ``TIMING``, in s.
 
-    ``requirements``: what has to hold for a change to happen.
+    ``requirements``: what has to hold for a change to happen. ``containers``: the programs of the containers that
+    composable nodes share, by the names of the containers.
     """
 
     name: str
@@ -157,6 +163,7 @@ class Specification:
     constraints: tuple[Constraint, ...] = ()
     timing: Map[str, float] = field(default_factory=Map)
     requirements: tuple[ChangeRequirement, ...] = ()
+    containers: Map[str, ContainerProgram] = field(default_factory=Map)
     _context: SystemContext | None = field(default=None, init=False, compare=False, repr=False)
 
     @property
@@ -172,7 +179,24 @@ class Specification:
     def instance(self, role: str, name: str | None = None) -> Instance:
         """The instance of ``role`` called ``name`` (the role's own name where None)."""
         node = self.nodes[role]
-        return Instance(name or role, role, self.component_of(role), node.parameters, node.sections)
+        container = self.container_of(role)
+        process = "" if container is None else container.name
+        component = self.component_of(role)
+        return Instance(name or role, role, component, node.parameters, node.sections, container, process)
+
+    def container_of(self, role: str) -> SharedContainer | None:
+        """The container that loads the node of ``role``; None where it shares none. Raises KeyError."""
+        name = self.nodes[role].container
+        if name is None:
+            return None
+        sections: list[ParameterSection] = []
+        for member in self.members_of(name):
+            sections += [each for each in self.nodes[member].sections if each not in sections]
+        return SharedContainer(name, self.containers.get(name, DEFAULT_CONTAINER), tuple(sections))
+
+    def members_of(self, container: str) -> list[str]:
+        """The roles whose nodes that container loads, sorted."""
+        return sorted(role for role, node in self.nodes.items() if node.container == container)
 
     def attachments_of(self, role: str, instance: str | None = None) -> list[tuple[PortRef, str]]:
         """The attachments of the role, outputs first, in order of declaration."""

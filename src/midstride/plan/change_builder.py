@@ -15,7 +15,7 @@ from immutables import Map
 from midstride.errors import PlanRefused
 from midstride.model.action import contract_reasons
 from midstride.model.best import best, rebalanced
-from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef, same_value
+from midstride.model.component import Connector, ContainerProgram, FunctionalityRef, ParameterValue, PortRef, same_value
 from midstride.model.configuration import Configuration, Instance, SystemContext
 from midstride.model.instance_names import fresh_name
 from midstride.model.name_checks import node_names
@@ -199,6 +199,26 @@ class ChangeBuilder:
             return role
         return fresh_name(role, self.start.instances, self.coming, self.specification.nodes, self.target.nodes)
 
+    def _choose_processes(self) -> None:
+        """Say in which process of its container each new instance is.
+
+        A replacement is beside the others for itself: it runs what its library has now, and may fail. An instance that
+        replaces none joins those that stay. Where none stays, all are together again, in a new process.
+        """
+        containers = {
+            each.container.name: each.container for each in self.coming.values() if each.container is not None
+        }
+        for name in containers:
+            running = [each for each in self.start.instances.values() if each.container and each.container.name == name]
+            stay = sorted(each.process for each in running if each.process and each.name not in self.leaving)
+            taken = {each.process for each in running}
+            known = (taken, self.start.instances, self.coming, self.target.nodes, self.target.containers)
+            together = stay[0] if stay else name if name not in taken else fresh_name(name, *known)
+            for instance in list(self.coming.values()):
+                if instance.container is not None and instance.container.name == name:
+                    alone = bool(stay) and instance.name in self.replaced.values()
+                    self.coming[instance.name] = replace(instance, process="" if alone else together)
+
     # -- all roles together ----------------------------------------------------------------------------
 
     def final(self, pending: Iterable[FunctionalityRef]) -> Configuration:
@@ -206,6 +226,7 @@ class ChangeBuilder:
 
         Raises PlanRefused for a target that is impossible.
         """
+        self._choose_processes()
         configuration = self.start
         seeds: dict[FunctionalityRef, None] = dict.fromkeys(pending)
         for port, connector in self.detached:
@@ -266,12 +287,19 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     current = instance.parameters
     if set(current) != set(wanted.parameters) or instance.sections != wanted.sections:
         return True
+    if _loaded_by(instance) != _loaded_by(wanted):
+        return True
     declared, asked = instance.component.parameters, wanted.component.parameters
     return any(
         not same_value(current[name], value)
         and not (name in declared and declared[name].changeable and name in asked and asked[name].changeable)
         for name, value in wanted.parameters.items()
     )
+
+
+def _loaded_by(instance: Instance) -> tuple[str, ContainerProgram] | None:
+    """The container that it shares, whatever else that loads now."""
+    return None if (container := instance.container) is None else (container.name, container.program)
 
 
 def _check_limits(

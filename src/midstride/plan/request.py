@@ -98,6 +98,15 @@ class PlanRequest:
             _well_formed(problem for problem in check_node(target, role) if problem.code != "E020")
         return target
 
+    def for_members(self, specification: Specification) -> PlanRequest:
+        """The request with the nodes of each container that it names to restart or to remove, instead of its name."""
+
+        def named(names: tuple[str, ...]) -> tuple[str, ...]:
+            found = [specification.members_of(name) if name in specification.containers else [name] for name in names]
+            return tuple(role for roles in found for role in roles)
+
+        return replace(self, restart=named(self.restart), remove=named(self.remove))
+
     def for_roles(self, role_of: Mapping[str, str]) -> PlanRequest:
         """The request with the role of each instance that it names (``role_of`` has them): a request is for roles."""
 

@@ -15,6 +15,7 @@ from midstride.codec.form import Form
 from midstride.model.component import (
     ComponentSpec,
     Connector,
+    ContainerProgram,
     EnvironmentGuarantee,
     ParameterValue,
     Resource,
@@ -54,6 +55,13 @@ def differences(old: Specification, new: Specification, renewed: Mapping[str, st
             new.resources,
             lambda resource: (f"capacity {format_number(resource.capacity)}",),
             _resource,
+        ),
+        *_compared(
+            "container",
+            old.containers,
+            new.containers,
+            lambda program: (_program(program),),
+            lambda before, after: (_became("run", _program(before), _program(after)),) if before != after else (),
         ),
         *_compared("environment", was, will, lambda offer: (str(offer.guarantee),), _offer),
         *_components(old.components, new.components),
@@ -152,8 +160,11 @@ def _stop(component: ComponentSpec) -> str | None:
 
 
 def _container(component: ComponentSpec) -> str | None:
-    container = component.container
-    return None if container is None else f"{container.run} of package {container.package}"
+    return None if component.container is None else _program(component.container)
+
+
+def _program(container: ContainerProgram) -> str:
+    return f"{container.run} of package {container.package}"
 
 
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
@@ -269,6 +280,12 @@ def _node(
         replaced = not in_place
     if sections := list(_sections(before, after)):
         details += sections
+        replaced = True
+    if before.container != after.container:
+        details.append(_became("container", before.container, after.container))
+        replaced = True
+    elif before.container is not None and old.containers.get(before.container) != new.containers.get(before.container):
+        details.append(f"container {before.container} has another program")
         replaced = True
     wiring = list(_wiring(before, after))
     replaced = replaced or (bool(wiring) and was.gate is not None)  # its topics are fixed at its start

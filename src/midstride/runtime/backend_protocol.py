@@ -47,7 +47,8 @@ class Launch:
     ``role``: what it is an instance of. ``sections``: parameters of further nodes in the process, where its program
     does not use Midstride's API. ``foreign``: the component, where its program does not use Midstride's API;
     ``topics`` then has those of its ports. ``load``: what is loaded into the process once it runs, where the program is
-    a component container.
+    a component container. ``process``: the name of that container, where others are loaded into it as well; the first
+    of them starts it. Empty where it has one for itself.
     """
 
     instance: str
@@ -69,6 +70,7 @@ class Launch:
     predecessor: str = ""
     role: str = ""
     load: LoadWords | None = None
+    process: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -199,6 +199,7 @@ class Scenario:
 
 
 def _steps(specification: Specification, request: PlanRequest) -> list[str]:
+    request = request.for_members(request.to or specification)
     target = request.target(specification)
     change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
     kinds = [step.action.kind for step in planner(request.strategy, detours=request.detours)(change).steps]

@@ -37,9 +37,10 @@ INCOMPLETE: Final = 3
 @click.option(
     "--containers",
     type=click.Choice(CONTAINERS),
-    default="omit",
+    default="keep",
     show_default=True,
-    help="What becomes of composable nodes, which share the process of a container: left out, or one process each.",
+    help="What becomes of composable nodes, which share the process of a container: they do; or one process each; or "
+    "left out.",
 )
 @json_option
 def import_command(

@@ -140,6 +140,7 @@ def _for_running(client: Client, to: Specification | None, asked: Document, stra
 
 def _for_file(specification: Specification, request: PlanRequest, within: float | None, strategy: str) -> PlanForm:
     request = replace(request, strategy=strategy)
+    request = request.for_members(request.to or specification)
     target = request.target(specification)
     change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
     detours = request.detours and strategy == "minimal"

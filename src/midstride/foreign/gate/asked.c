@@ -12,18 +12,18 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-static uint32_t taken_asked; /* the number of the last request of the manager that was read. With `lock` */
+/* By node, the number of the last request of the manager that was read. With `lock` */
+static uint32_t taken_asked[NODES];
 
-/* The name of the file of the request `number`, or, by its `suffix`, of another one of it. */
-static void asked_file(char *name, uint32_t number, const char *suffix)
+/* The name of the file of the request `number` to the node `own` (index + 1), or, by its `suffix`, of another one of it. */
+static void asked_file(char *name, unsigned own, uint32_t number, const char *suffix)
 {
-  snprintf(name, FILE_NAME, "%s.%u.%u%s", page_path, (unsigned)(node - page->nodes), number, suffix);
+  snprintf(name, FILE_NAME, "%s.%u.%u%s", page_path, own - 1, number, suffix);
 }
 
-/* The server of that name; NULL where there is none. With `lock`. */
-static struct entry *server_of(const char *name)
+/* The server of the node `own` (index + 1) with that name; NULL where there is none. With `lock`. */
+static struct entry *server_of(unsigned own, const char *name)
 {
-  unsigned own = (unsigned)(node - page->nodes) + 1;
   for (struct table *table = &first_table; table; table = atomic_load(&table->next))
     for (unsigned index = 0; index < ENTRIES; index++) {
       struct entry *entry = &table->entries[index];
@@ -53,16 +53,16 @@ uint8_t *read_file(const char *name, size_t *length)
 }
 
 /* Hold a request of the manager for the executor. The file has the name of the service, a 0, and the request. With `lock`. */
-static void hold_asked(uint32_t number)
+static void hold_asked(unsigned own, uint32_t number)
 {
   char name[FILE_NAME];
   size_t length;
-  asked_file(name, number, "");
+  asked_file(name, own, number, "");
   uint8_t *bytes = read_file(name, &length);
   if (!bytes)
     return;
   size_t begin = strlen((char *)bytes) + 1;
-  struct entry *entry = begin <= length ? server_of((char *)bytes) : NULL;
+  struct entry *entry = begin <= length ? server_of(own, (char *)bytes) : NULL;
   struct held *held = entry ? calloc(1, sizeof *held) : NULL;
   if (!held) {
     free(bytes);
@@ -81,8 +81,14 @@ static void hold_asked(uint32_t number)
 
 void take_asked(void)
 {
-  for (uint32_t last = atomic_load(&node->asked); taken_asked != last;)
-    hold_asked(++taken_asked);
+  unsigned process = (unsigned)(node - page->nodes) + 1;
+  for (unsigned index = 0; index < NODES; index++) {
+    struct node *asked = &page->nodes[index];
+    if (asked != node && (!atomic_load(&asked->used) || asked->process != process))
+      continue;
+    for (uint32_t last = atomic_load(&asked->asked); taken_asked[index] != last;)
+      hold_asked(index + 1, ++taken_asked[index]);
+  }
 }
 
 int respond(const struct entry *entry, const struct request_id *id, const void *response)
@@ -91,8 +97,8 @@ int respond(const struct entry *entry, const struct request_id *id, const void *
   serialized bytes = {.memory = heap};
   int result = real_rmw_serialize()(response, entry->response, &bytes);
   if (result == 0) {
-    asked_file(name, (uint32_t)id->number, ".answer");
-    asked_file(partial, (uint32_t)id->number, ".partial");
+    asked_file(name, entry->me, (uint32_t)id->number, ".answer");
+    asked_file(partial, entry->me, (uint32_t)id->number, ".partial");
     int file = open(partial, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (file >= 0 && write(file, bytes.buffer, bytes.length) == (ssize_t)bytes.length)
       rename(partial, name);

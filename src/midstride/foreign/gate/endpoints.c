@@ -51,23 +51,6 @@ static struct entry *unused(const void *endpoint)
   }
 }
 
-/* Which node of the page a node of librcl is, as index + 1. */
-static unsigned node_of(const void *owner)
-{
-  unsigned own = (unsigned)(node - page->nodes) + 1;
-  const char *name = NULL;
-  for (unsigned index = 0; index < NODES; index++) {
-    struct node *other = &page->nodes[index];
-    if (!atomic_load(&other->used) || other->process != own || !other->name[0])
-      continue;
-    if (!name && real_rcl_node_get_fully_qualified_name())
-      name = real_rcl_node_get_fully_qualified_name()(owner);
-    if (name && strncmp(other->name, name, NAME) == 0)
-      return index + 1;
-  }
-  return own;
-}
-
 /* Whether a node that lists its topics lists this one. rcl moves the publisher of /rosout after it has initialized it, so
  * nothing may be kept for its address. */
 static bool listed(unsigned me, const char *topic)

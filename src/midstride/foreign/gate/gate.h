@@ -65,6 +65,16 @@ extern pthread_mutex_t lock; /* of the tables where they change, and of what is 
  * With `lock`. */
 void keep_helping(void);
 
+/* -- the ROS nodes of this process (nodes.c) -------------------------------------------------------------------------- */
+
+/* Which node of the page a node of librcl is, as index + 1: that of its name, or the one that was being loaded when it was
+ * created, or else that as which the process was started. With `lock`. */
+unsigned node_of(const void *owner);
+/* This thread has taken a request to a service of that name, or answers it: from then on, and until then, the nodes that it
+ * creates are made by a component that is loaded. */
+void begin_loading(const char *service);
+void end_loading(const char *service);
+
 /* -- the endpoints that have a port (endpoints.c) --------------------------------------------------------------------- */
 
 /* A message that was written behind the gate. */

@@ -6,16 +6,82 @@
 /* Counted from here, so that a node is never taken for a port. */
 #define NODE_NUMBER UINT32_MAX
 
+#define LOAD_NODE "/_container/load_node"
+static _Thread_local bool loading;
+
+static bool loads(const char *service)
+{
+  size_t length = strlen(service), own = strlen(LOAD_NODE);
+  return length > own && strcmp(service + length - own, LOAD_NODE) == 0;
+}
+
+void begin_loading(const char *service)
+{
+  loading = loading || loads(service);
+}
+
+void end_loading(const char *service)
+{
+  loading = loading && !loads(service);
+}
+
+static unsigned own_number(void)
+{
+  return (unsigned)(node - page->nodes) + 1;
+}
+
+/* Whether a node of the page, by its index + 1, is one of this process. */
+static bool is_inside(unsigned number)
+{
+  return number == own_number() || (number && number <= NODES && page->nodes[number - 1].process == own_number());
+}
+
 /* Which of the listed nodes has that full name; NULL where none has. With `lock`. */
 static struct port *listed_node(const char *name)
 {
-  unsigned own = (unsigned)(node - page->nodes) + 1;
   for (unsigned index = 0; index < atomic_load(&page->head.room); index++) {
     struct port *port = &page->ports[index];
-    if (atomic_load(&port->node) == own && atomic_load(&port->kind) == NODE && strncmp(port->topic, name, NAME) == 0)
+    if (atomic_load(&port->kind) == NODE && is_inside(atomic_load(&port->node)) && strncmp(port->topic, name, NAME) == 0)
       return port;
   }
   return NULL;
+}
+
+/* The node of the page with the full name of one of librcl, as index + 1; 0 where none has it. */
+static unsigned named(const char *name)
+{
+  for (unsigned index = 0; index < NODES; index++) {
+    struct node *other = &page->nodes[index];
+    if (atomic_load(&other->used) && other->process == own_number() && other->name[0] &&
+        strncmp(other->name, name, NAME) == 0)
+      return index + 1;
+  }
+  return 0;
+}
+
+/* Whether the process has several nodes of the page. */
+static bool is_shared(void)
+{
+  for (unsigned index = 0; index < NODES; index++)
+    if (atomic_load(&page->nodes[index].used) && page->nodes[index].process == own_number() && page->nodes[index].name[0])
+      return true;
+  return false;
+}
+
+unsigned node_of(const void *owner)
+{
+  const char *name =
+      is_shared() && real_rcl_node_get_fully_qualified_name() ? real_rcl_node_get_fully_qualified_name()(owner) : NULL;
+  unsigned found = name ? named(name) : 0;
+  struct port *port = name && !found ? listed_node(name) : NULL;
+  return found ? found : port ? atomic_load(&port->node) : own_number();
+}
+
+/* To which node of the page one belongs that this thread creates, as index + 1. */
+static unsigned owner_of(const char *name)
+{
+  unsigned found = named(name), loaded = loading ? atomic_load(&node->loading) : 0;
+  return found ? found : loaded && is_inside(loaded) ? loaded : own_number();
 }
 
 /* List a node that the process has created: the manager asks for all that end with it. */
@@ -25,7 +91,7 @@ static void list_node(const void *created)
   if (!name || strlen(name) >= NAME)
     return;
   pthread_mutex_lock(&lock);
-  struct port *port = claim_port(page, descriptor, (unsigned)(node - page->nodes) + 1);
+  struct port *port = claim_port(page, descriptor, owner_of(name));
   if (port) {
     strcpy(port->topic, name);
     port->number = NODE_NUMBER;

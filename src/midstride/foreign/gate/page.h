@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 12 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 13 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -114,7 +114,7 @@ struct node {
   _Atomic uint32_t cancels; /* whether the helper thread is to cancel the goals that it has */
   _Atomic uint32_t beyond; /* how many goals it has in progress that the page had no room for */
   _Atomic uint32_t goals[COUNTED]; /* what has become of its goals, in all */
-  uint32_t spare;
+  _Atomic uint32_t loading; /* index + 1 of the one that a container, which this is, is being asked to load; 0: of none */
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */
 };

@@ -93,6 +93,8 @@ static int take_request(const void *service, struct request_info *info, void *re
   taking = nested;
   if (with_info && result == 0)
     received = info->received;
+  if (result == 0 && entry)
+    begin_loading(entry->port->topic);
   if (result != 0 || !requests)
     return result;
   note_seen(requests, entry->me, &info->id);
@@ -167,6 +169,8 @@ static bool answer_kept(const struct entry *entry, const uint8_t *goal, void *re
 EXPORT int rcl_send_response(const void *service, struct request_id *id, void *response)
 {
   struct entry *entry = find_server(service);
+  if (entry)
+    end_loading(entry->port->topic);
   if (entry && is_asked(id))
     return respond(entry, id, response);
   struct requests *requests = entry ? requests_of(entry->me) : NULL;

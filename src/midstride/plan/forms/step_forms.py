@@ -9,6 +9,7 @@ import msgspec
 from immutables import Map
 from msgspec import UNSET, UnsetType
 
+from midstride.codec.configuration_form import SharedContainerForm
 from midstride.codec.form import FiniteNumber, Form, field
 from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.errors import PlanRefused
@@ -77,6 +78,8 @@ class CreateStep(StepForm, frozen=True, kw_only=True, tag="create"):
     component: str
     parameters: dict[str, ValueForm] = {}
     sections: SectionsForm | UnsetType = UNSET
+    container: SharedContainerForm | UnsetType = UNSET
+    process: str | UnsetType = UNSET
     seconds: FiniteNumber
 
 
@@ -156,6 +159,8 @@ def _form(step: Step) -> AnyStep:
                 component=new.component.name,
                 parameters=values,
                 sections=[SectionForm.of(section) for section in new.sections] or UNSET,
+                container=UNSET if new.container is None else SharedContainerForm.shared(new.container),
+                process=UNSET if new.container is None else new.process,
                 seconds=seconds,
             )
         case Remove():
@@ -210,7 +215,10 @@ def _action(change: Change, known: Mapping[str, Instance], form: AnyStep) -> Act
         case CreateStep():
             component = _component(change, form.component)
             sections = () if form.sections is UNSET else tuple(each.section() for each in form.sections)
-            return Create(Instance(form.instance, form.role, component, values_of(form.parameters), sections))
+            container = None if form.container is UNSET else form.container.container()
+            process = "" if form.process is UNSET else form.process
+            values = values_of(form.parameters)
+            return Create(Instance(form.instance, form.role, component, values, sections, container, process))
         case RemoveStep():
             return Remove(form.instance)
         case AttachStep():

@@ -61,7 +61,7 @@ def minimal_with_detours(change: Change, budget: Budget | None = None) -> Plan:
         assert refusal is not None
         raise refusal
     plan = Plan.of("minimal", best.steps, Levels(best.change), bound, best.makespan)
-    return replace(plan, proof_space="detours", remarks=tuple(describe(best.change)))
+    return replace(plan, proof_space="detours", remarks=(*describe(best.change), *plan.remarks))
 
 
 def _changes(change: Change, constraints: Sequence[Constraint]) -> Iterator[Change]:

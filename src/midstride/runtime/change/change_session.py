@@ -128,6 +128,7 @@ class ChangeSession:
         unknown = system.values.unknown_by_role(system.configuration)
         instances, nodes = system.configuration.instances.items(), system.specification.nodes
         request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
+        request = request.for_members(request.to or system.specification)
         measured = dict(self.journal.estimates)
         request, orders, remarks = with_stalled_first(request, system.configuration, self.monitor.undiscovering)
         away = [role for role in system.crashes if not system.has_instance(role)]

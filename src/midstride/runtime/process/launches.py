@@ -56,7 +56,8 @@ def launch_of(
             load = LoadWords.of(command)
         except ValueError as error:
             raise StartFailed(f"{name}: `{command}` cannot be loaded into a container: {error}") from None
-        command, package = component.container.run, component.container.package
+        program = component.container if instance.container is None else instance.container.program
+        command, package = program.run, program.package
     if package is not None and backend != "ros2":
         raise StartFailed(f"{name} is in package {package}, which the back end {backend} cannot look up")
     try:
@@ -74,6 +75,7 @@ def launch_of(
     elif options.use_sim_time:
         sections = (ParameterSection("/**", Map(use_sim_time=True)),)
     parameters.update(instance.parameters)
+    shared = instance.sections if instance.container is None else instance.container.sections
     # A program without Midstride's API has the instance's name: nothing in it could answer for the role.
     node, foreign = (instance.role, None) if gate is None else (name, component)
     if gate == "relay":  # whose process has a node as well, beside that of the program
@@ -94,8 +96,9 @@ def launch_of(
         package,
         prefix,
         dict(component.environment),
-        (*sections, *instance.sections),
+        (*sections, *shared),
         predecessor,
         instance.role,
         load,
+        instance.process,
     )

@@ -169,6 +169,11 @@ class InstanceStatus(Report, frozen=True, kw_only=True):
     name: str
     role: str
     component: str
+    container: Annotated[str | None, Meta(description="of the system, that loads its node beside others")] = None
+    process: Annotated[
+        str | None,
+        Meta(description="the process of that container which it shares; null: it has one for itself"),
+    ] = None
     namespace: Annotated[str, Meta(description="of its role: `/` or `/front`")]
     host: Annotated[str | None, Meta(description="the computer or container that reports it; null: the manager's")]
     node: Annotated[str | None, Meta(description="the full name of its ROS node; null where there is none")]

@@ -36,13 +36,14 @@ class _Record:
     """The crashes of one role, as far as they are known.
 
     ``crashes``: what has been decided on. ``due``: when the next restart begins (steady s); ``carrying_out``: its plan
-    has begun; ``left``: why there is no next one.
+    has begun; ``falls_back``: it is one as another component; ``left``: why there is no next one.
     """
 
     attempts: Attempts = field(default_factory=Attempts)
     crashes: list[Exited] = field(default_factory=list)
     due: float | None = None
     carrying_out: bool = False
+    falls_back: bool = False
     left: str | None = None
     task: asyncio.Task[None] | None = None
 
@@ -161,7 +162,7 @@ class Respawner(ReconciliationObserver):
         self.events.add("respawn_ended", f"{event}{role} will not be restarted again: {why}. {remedy}")
 
     def _schedule(self, role: str, record: _Record, request: PlanRequest, words: str, delay: float) -> None:
-        record.due = self.clock.steady() + delay
+        record.due, record.falls_back = self.clock.steady() + delay, bool(request.replace)
         record.task = asyncio.get_running_loop().create_task(self._restart(role, record, request, words, delay))
         self._tasks.add(record.task)
         record.task.add_done_callback(self._tasks.discard)
@@ -170,6 +171,7 @@ class Respawner(ReconciliationObserver):
         failed = None
         await self.clock.sleep(delay)
         outcome = None
+        beside: list[tuple[str, _Record]] = []
         try:
             while outcome is None:
                 await self.session.permission.until_recovery()
@@ -177,17 +179,39 @@ class Respawner(ReconciliationObserver):
                     if self.session.permission.refusal(recovery=True) is not None:  # since it waits for its turn
                         continue
                     record.carrying_out, record.due = True, None
+                    if request.restart and not beside:
+                        beside = self._of_the_same_process(role)
+                        request = PlanRequest(restart=(role, *(other for other, _ in beside)))
                     outcome = await self.session.change(request, brief=True, by="the restart policy", recovery=True)
                     failed = None if outcome.outcome == "done" else f"{words} failed: {outcome.because}"
         except Exception as error:  # nothing awaits this task, so errors are logged here
             log.exception("%s failed", words)
             failed = f"{words} failed: {error}"
-        record.carrying_out, record.task = False, None
-        if self.system.has_instance(role):
-            record.attempts.runs_since = self.clock.steady()
-        elif failed is not None and (policy := self._policy(role)) is not None and not self._stopped:
-            if request.replace:
-                self._leave(role, record, failed)
-            else:
-                self._on_crash(role, record, policy, failed)
+        for each, its in ((role, record), *beside):
+            its.carrying_out, its.task = False, None
+            if self.system.has_instance(each):
+                its.attempts.runs_since = self.clock.steady()
+            elif failed is not None and (policy := self._policy(each)) is not None and not self._stopped:
+                if request.replace:
+                    self._leave(each, its, failed)
+                else:
+                    self._on_crash(each, its, policy, failed)
         self.reconciled()
+
+    def _of_the_same_process(self, role: str) -> list[tuple[str, _Record]]:
+        """The nodes that share a container with ``role`` and are to be restarted now: one plan restores all of them.
+
+        The restarts are counted for each of them.
+        """
+        nodes = self.system.specification.nodes
+        container = None if role not in nodes else nodes[role].container
+        found = []
+        for other in () if container is None else self.system.specification.members_of(container):
+            record = self._records.get(other)
+            if record is None or other == role or record.task is None or record.due is None or record.falls_back:
+                continue
+            if record.due <= self.clock.steady() and not self.system.has_instance(other):
+                record.task.cancel()
+                record.carrying_out, record.due = True, None
+                found.append((other, record))
+        return found

@@ -110,6 +110,8 @@ def instance_status(
         name=instance.name,
         role=instance.role,
         component=instance.component.name,
+        container=None if instance.container is None else instance.container.name,
+        process=instance.process or None,
         namespace=namespace_of(instance.role),
         host=None if state is None or state.host in {"", THIS_HOST} else state.host,
         node=None if state is None else state.node,

@@ -123,6 +123,7 @@ function componentContent(component, view, context, reasons, redraw) {
     component.done ? h("p", {}, "✓ Its program has ended as it should (once).") : null,
     wrong.length === 0 ? null : h("ul", { class: "banner", "data-kind": "warn" }, ...wrong.map((each) => h("li", {}, `▲ ${each}`))),
     component.undeclared.length === 0 ? null : h("p", { class: "muted" }, `Topics that are no ports, and so have no gate: ${component.undeclared.join(", ")}`),
+    !component.container ? null : h("p", {}, component.process ? `In the container ${component.process}, with others.` : `Left the container ${component.container} for a process for itself; midstride restart ${component.container} brings all of its nodes together.`),
     component.other_nodes.length === 0 ? null : h("p", {}, `Other nodes that end with it: ${component.other_nodes.map((each) => each.name).join(", ")}`),
     component.other_nodes_unknown === null ? null : h("p", { class: "muted" }, `Other nodes of its process are not known: ${component.other_nodes_unknown}`),
     ...component.functionalities.flatMap((each) => functionalityContent(component, each, context, reasons, redraw)),

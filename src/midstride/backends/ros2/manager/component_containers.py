@@ -22,7 +22,9 @@ _SUFFIX: Final = "_container"
 
 
 def container_name(launch: Launch) -> str:
-    """The full name of the node of an instance's container, which is unique; composable nodes may share one."""
+    """The full name of the node of an instance's container, which no other process has."""
+    if launch.process:
+        return full_name(launch.process)
     return f"{full_name(launch.instance, launch.namespace)}{_SUFFIX}"
 
 

@@ -15,6 +15,7 @@ from midstride.model.instance_names import split_name
 
 _LOAD: Final = "_container/load_node"
 _LIST: Final = "_container/list_nodes"
+_UNLOAD: Final = "_container/unload_node"
 
 
 class _Listed(Exception):
@@ -64,6 +65,23 @@ class ContainerServices(RosNodeServices):
             raise BackendError(
                 f"{request.container} has not loaded {what}: {response.error_message or 'no reason given'}"
             )
+
+    async def unload(self, node: str, timeout: float) -> None:
+        """Have the node with that full name unloaded, if it is loaded. Raises BackendError: why it is not."""
+        from composition_interfaces.srv import ListNodes, UnloadNode
+
+        try:
+            listed = await self._call(ListNodes, _LIST, timeout)
+            numbers = [
+                number for name, number in zip(listed.full_node_names, listed.unique_ids, strict=False) if name == node
+            ]
+            for number in numbers:
+                request = UnloadNode.Request(unique_id=number)
+                response = await self._call(UnloadNode, _UNLOAD, timeout, request)
+                if not response.success:
+                    raise BackendError(f"{self._name} has not unloaded {node}: {response.error_message or 'no reason'}")
+        except NoAnswer as error:
+            raise BackendError(f"{node} is not unloaded: {error}") from None
 
 
 def _messages(values: Mapping[str, Any]) -> list[Any]:

@@ -7,7 +7,7 @@ import logging
 import os
 import time
 import uuid
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace as replaced
 from pathlib import Path
@@ -21,6 +21,7 @@ from midstride.backends.ros2.manager.component_containers import LoadRequest, co
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
 from midstride.backends.ros2.manager.parameter_file import parameter_file
 from midstride.backends.ros2.manager.process_nodes import AskedProcess
+from midstride.backends.ros2.manager.shared_processes import SharedProcess
 from midstride.backends.ros2.manager.start_arguments import (
     ENV_NODE,
     ENV_PAGE,
@@ -31,7 +32,7 @@ from midstride.backends.ros2.manager.start_arguments import (
 from midstride.backends.ros2.names import InstanceNode, system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
-from midstride.errors import BackendError, CommandRefused, MidstrideError, NodeError
+from midstride.errors import BackendError, CommandRefused, MidstrideError, NodeError, StartFailed
 from midstride.foreign import build
 from midstride.foreign.foreign_state import StatePeers
 from midstride.foreign.gated_agent import ForeignAgent
@@ -59,8 +60,8 @@ GraphOf: TypeAlias = Callable[[str, bytes | None], Sequence[GraphEndpoint]]
 ServedBy: TypeAlias = Callable[[str, frozenset[str] | None], Served]
 # What the node of a page with this full name and index can be asked, and whether no other had its name at its start.
 Addressed: TypeAlias = Callable[[str, Page, int, bool], NodeServices]
-# Has a node loaded within a time (s).
-Load: TypeAlias = Callable[[LoadRequest, float], Awaitable[None]]
+# Has the node of a record loaded within a time (s).
+Load: TypeAlias = Callable[[ForeignRecord, LoadRequest, float], Awaitable[None]]
 
 log = logging.getLogger(__name__)
 
@@ -131,15 +132,15 @@ class ForeignNodes:
         """Return whether another node may have the name of this one: its library claims requests."""
         return bool(record.node) and self.tells_processes and self._servers(record) is not None
 
-    def marked(self) -> dict[bytes, InstanceNode]:
-        """By the identity of a publisher of its process, the instances whose gate is inside."""
-        found = {}
+    def marked(self) -> list[tuple[bytes, InstanceNode]]:
+        """The instances whose gate is inside, each with the identity of a publisher of its process."""
+        found = []
         for agent in self._agents.values():
             record = agent.node.record
             if (mark := self._mark(record)) is not None and record.node:
                 inside = split_name(record.node)[1]
                 instance = full_name(record.instance, inside)
-                found[mark] = InstanceNode(instance, record.node, system_tag(record.token))
+                found.append((mark, InstanceNode(instance, record.node, system_tag(record.token))))
         return found
 
     def mark_of(self, instance: str) -> bytes | None:
@@ -150,28 +151,65 @@ class ForeignNodes:
     def _mark(self, record: ForeignRecord) -> bytes | None:
         return None if record.index is None or self._page is None else self._page.mark(record.index)
 
+    async def prepare_shared(
+        self, launch: Launch, component: ComponentSpec, started: StartedPrograms
+    ) -> tuple[dict[str, str], int | None]:
+        """The environment of the process of a container that several nodes share, and its part in the page.
+
+        ``launch``: of the first of them. None: it has no library, and that one needs none. Raises StartFailed,
+        BackendError.
+        """
+        environment = started.environment
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not loads_library(launch, component, started):
+            available = build.is_available(environment)
+            if not available or started.why_not(build.library_path(environment)) is not None:
+                return dict(environment), None
+        page, library = await self._opened(environment)
+        index = page.allocate(launch.process)
+        return _preloaded(started, page, library, index), index
+
+    def discard_shared(self, name: str, index: int | None) -> None:
+        """The process of a container has ended, or could not be started."""
+        parameter_file(self._folder, name).unlink(missing_ok=True)
+        if index is not None and self._page is not None:
+            self._page.free(index)
+
+    def record_of(self, instance: str) -> ForeignRecord | None:
+        """Read what an earlier manager has left of an instance; None where there is nothing. Raises BackendError."""
+        return ForeignRecord.read(self._folder, instance)
+
     async def prepare(
-        self, launch: Launch, component: ComponentSpec, node: str, started: StartedPrograms
+        self,
+        launch: Launch,
+        component: ComponentSpec,
+        node: str,
+        started: StartedPrograms,
+        shared: SharedProcess | None = None,
     ) -> tuple[dict[str, str], ForeignRecord]:
         """The environment of the process, and its record, still without the process. Raises StartFailed, BackendError.
 
-        ``node`` is the full name of its ROS node; ``started``: what its command starts.
+        ``node`` is the full name of its ROS node; ``started``: what its command starts; ``shared``: the process that
+        runs, and is to load it.
         """
         environment = started.environment
         await asyncio.gather(*self._closing)  # the name may be that of one that has just ended
         topics, index, variables = topics_of(component, node, launch.topics), None, dict(environment)
+        process_index = None if shared is None else shared.index
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if loads_library(launch, component, started):
+        if shared is not None and process_index is None and component.preloads:
+            raise StartFailed(f"{launch.instance}: {shared.name} was started without the library of the gate")
+        without = shared is not None and process_index is None
+        if not without and loads_library(launch, component, started):
             page, library = await self._opened(environment)
-            index = page.allocate(launch.instance)
+            index = page.allocate(launch.instance, process=process_index, name="" if shared is None else node)
             old = self._agents.get(launch.predecessor)
             before = None if old is None else old.node.record.index
             if component.preloads:
                 Gates(page, index, of_topics(component)).prepare(topics, before)
             else:
                 Gates(page, index, of_services(component)).prepare_requests(before)
-            variables[PRELOAD] = started.preloaded(library)
-            variables |= {ENV_PAGE: str(page.path.absolute()), ENV_NODE: str(index)}
+            variables = _preloaded(started, page, library, index)
         record = ForeignRecord(
             instance=launch.instance,
             node=node,
@@ -191,6 +229,8 @@ class ForeignNodes:
             role=launch.role,
             replaces=launch.predecessor,
             container=container_name(launch) if launch.load is not None else "",
+            process=launch.process,
+            process_index=process_index,
         )
         return variables, record
 
@@ -316,7 +356,7 @@ class ForeignNodes:
     async def _answer_once_loaded(self, record: ForeignRecord, load: Load, request: LoadRequest) -> None:
         """Answer for the node once it is loaded; else it is said why it cannot be started."""
         try:
-            await load(request, endpoints_seconds(record.declaration.declared()))
+            await load(record, request, endpoints_seconds(record.declaration.declared()))
             await self._answer_once_known(record)
         except Exception as error:  # rclpy's too, of a value that no message can have; nothing awaits this task
             if not isinstance(error, MidstrideError):
@@ -375,9 +415,29 @@ class ForeignNodes:
             return AskedProcess(instance)
         record = agent.node.record
         listed = None if record.index is None or self._page is None else self._page.ros_nodes(record.index)
+        beside = frozenset(self._beside(record))
         if not record.declaration.declared().preloads:
             listed = listed or None  # its program may be one that the library is not loaded into
-        return AskedProcess(instance, record.node, listed, mark=self._mark(record), container=record.container)
+        return AskedProcess(instance, record.node, listed, mark=self._mark(record), not_its_own=beside)
+
+    def _beside(self, record: ForeignRecord) -> Iterator[str]:
+        """The nodes of its process that do not end with it: that of its container, and what is in that besides."""
+        if record.container:
+            yield record.container
+        if not record.process:
+            return
+        if record.process_index is not None and self._page is not None:
+            yield from self._page.ros_nodes(record.process_index) or ()
+        for other in (agent.node.record for agent in self._agents.values()):
+            if other.process == record.process and other.instance != record.instance:
+                yield other.node
+                if other.index is not None and self._page is not None:
+                    yield from self._page.ros_nodes(other.index) or ()
+
+    def loads(self, record: ForeignRecord, now: bool) -> None:
+        """A container is about to load the node of ``record``, or has answered that request."""
+        if record.process_index is not None and self._page is not None:
+            self._page.loads(record.process_index, record.index if now else None)
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
@@ -470,3 +530,9 @@ class ForeignNodes:
             task.cancel()
         await asyncio.gather(*(agent.close() for agent in agents), *self._closing)
         self._managers.close()
+
+
+def _preloaded(started: StartedPrograms, page: Page, library: Path, index: int) -> dict[str, str]:
+    """The environment of a process that is started as the node ``index`` of ``page``."""
+    words = {PRELOAD: started.preloaded(library), ENV_PAGE: str(page.path.absolute()), ENV_NODE: str(index)}
+    return {**started.environment, **words}

@@ -32,21 +32,22 @@ from midstride.runtime.backend_protocol import Endpoints
 
 _GET_STATE: Final = "lifecycle_msgs/srv/GetState"
 
-# The instances by process. Where processes are unknown, by the name of their node; None where several nodes have it.
-_Instances: TypeAlias = Mapping[bytes | str, InstanceNode | None]
+# The instances by process, and by process and node, as several may be in one. Where processes are unknown, by the name
+# of their node; None where several nodes have it.
+_Instances: TypeAlias = Mapping[bytes | str | tuple[bytes, str], InstanceNode | None]
 
 
 class Graph:
     """To be used on one thread. ``node`` is rclpy's; ``rmw`` is what the middleware can tell.
 
-    ``marked``: by the identity of an endpoint of its process, each instance whose process is known by that.
+    ``marked``: each instance whose process is known by the identity of an endpoint of it, with that.
     """
 
     def __init__(
         self,
         node: Any,
         rmw: RmwImplementation | None = None,
-        marked: Callable[[], Mapping[bytes, InstanceNode]] = dict,
+        marked: Callable[[], Iterable[tuple[bytes, InstanceNode]]] = tuple,
     ) -> None:
         self._node = node
         self._marked = marked
@@ -104,7 +105,7 @@ class Graph:
             process = self._process(info)
             instances = self._instances_of([process])
             if self._lives(info, self._name(info, instances)):
-                living[process] = instances.get(process)
+                living[process] = _found(instances, process, node)
             if len(living) == listed:  # each is in another process
                 break
         return set(living.values())
@@ -284,7 +285,7 @@ class Graph:
     def _name(self, info: Any, instances: _Instances) -> str:
         """The name that an endpoint is shown under: of its instance, else of its node."""
         node = _node(info)
-        found = instances.get(self._process(info))
+        found = _found(instances, self._process(info), node)
         return node if found is None or node != found.node else found.instance
 
     def _instances_of(self, processes: Iterable[bytes | str]) -> _Instances:
@@ -295,7 +296,10 @@ class Graph:
 
     def _instances(self) -> _Instances:
         if (length := self.rmw.participant) is not None:
-            marked = {mark[:length]: found for mark, found in self._marked().items()}
+            marked: dict[bytes | str | tuple[bytes, str], InstanceNode | None] = {}
+            for mark, found in self._marked():
+                marked.setdefault(mark[:length], found)
+                marked[mark[:length], found.node] = found
             return marked | {self._process(info): found for info, found in self._controls()}
         listed = Counter(self._node_names())
         return {found.node: found if listed[found.node] == 1 else None for _, found in self._controls()}
@@ -313,6 +317,12 @@ class Graph:
 
     def _subscriptions(self, topic: str) -> list[Any]:
         return list(self._node.get_subscriptions_info_by_topic(topic))
+
+
+def _found(instances: _Instances, process: bytes | str, node: str) -> InstanceNode | None:
+    """The instance of that process, and of that node where several are in it."""
+    own = instances.get((process, node)) if isinstance(process, bytes) else None
+    return instances.get(process) if own is None else own
 
 
 def _node(info: Any) -> str:

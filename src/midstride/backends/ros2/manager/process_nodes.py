@@ -27,7 +27,8 @@ class AskedProcess:
 
     ``node``: the full name of the node of its program, where that does not use Midstride's API. ``listed``: all nodes
     that the preloaded library has seen, None where there is none. ``programs``: how many processes it is meant to have.
-    ``container``: the full name of the node that has loaded it, if any, which is Midstride's to start and end.
+    ``not_its_own``: the full names of nodes of its process that do not end with it, or are Midstride's, as that of a
+    container.
     ``mark``: the identity of an endpoint of its process, where that is known: another may have a node of its name.
     """
 
@@ -36,7 +37,7 @@ class AskedProcess:
     listed: Sequence[str] | None = None
     programs: int = 1
     mark: bytes | None = None
-    container: str = ""
+    not_its_own: frozenset[str] = frozenset()
 
     @property
     def is_foreign(self) -> bool:
@@ -87,7 +88,7 @@ def other_nodes(
 
 def _own(asked: AskedProcess, shown: Iterable[tuple[str, NodeProcess]], rmw: RmwImplementation) -> _Found:
     found, marked = _Found(), None if asked.mark is None else rmw.process_with(asked.mark)
-    found.own |= {each for each in (asked.node, asked.container) if each}
+    found.own |= {each for each in (asked.node, *asked.not_its_own) if each}
     for node, process in shown:
         instance = names.controlled(node)
         if instance is not None and instance.instance == full_name(asked.instance):

@@ -44,8 +44,9 @@ class StartArguments:
         if component.gate == "relay":
             topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
             launch = replaced(launch, topics=topics)
-        path, variables = parameter_file(self._folder.absolute(), launch.instance), dict(started.environment)
-        text = parameters_text(launch.sections, name.full or ALL, self._values(launch, component, name))
+        path = parameter_file(self._folder.absolute(), launch.process or launch.instance)
+        variables = dict(started.environment)
+        text = parameters_text(launch.sections, name.full or ALL, self._of_process(launch, component, name))
         if loads_library(launch, component, started):
             variables[PRELOAD] = started.preloaded(build.library_path(started.environment))
             variables |= {ENV_PAGE: str((self._folder / PAGE).absolute()), ENV_NODE: GIVEN_AT_THE_START}
@@ -62,13 +63,17 @@ class StartArguments:
             given = {key: value for values in (*matching, launch.set_parameters) for key, value in values.items()}
         return typed(component, given, {})
 
+    def _of_process(self, launch: Launch, component: ComponentSpec, name: StartName) -> dict[str, object]:
+        """The values that its process is started with: none where that is shared, as a request to load has them."""
+        return {} if launch.process else self._values(launch, component, name)
+
     def of(self, launch: Launch, component: ComponentSpec, name: StartName) -> list[str]:
         """Return the arguments behind the command; the parameters are in a file, which is deleted with the process.
 
         Raises BackendError.
         """
-        path = parameter_file(self._folder.absolute(), launch.instance)
-        values = self._values(launch, component, name)
+        path = parameter_file(self._folder.absolute(), launch.process or launch.instance)
+        values = self._of_process(launch, component, name)
         written = write_parameters(path, launch.sections, name.full or ALL, values)
         enclave = enclave_for(launch, component)
         return ros_arguments(launch, component, name, path if written else None, enclave)

@@ -1,0 +1,140 @@
+"""Containers that composable nodes share, in the language: read, checked, written as JSON and back, compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from midstride.codec.configuration_form import InstanceForm
+from midstride.codec.specification_form import decode_specification, encode_specification
+from midstride.lang import format_text
+from midstride.lang.load import load
+from midstride.model.component import ContainerProgram, SharedContainer
+from midstride.model.specification import Specification, initial
+from midstride.plan.change import Change
+from midstride.plan.change_builder import requested_change
+from midstride.plan.request import PlanRequest
+from midstride.plan.specification_diff import differences
+from midstride.plan.strategies.registry import planner
+
+TEXT = """system grouped
+topic /a : std_msgs/msg/String @ 10 Hz
+topic /b : std_msgs/msg/String @ 10 Hz
+
+component Talker {
+  run component "demo::Talker" package "demo" gate preload
+  output out as chatter
+  functionality talk {
+    produces out
+    mode normal { guarantee out : std_msgs/msg/String @ 10 Hz }
+    mode degraded { }
+  }
+}
+
+namespace front {
+  container pipeline { run "component_container_mt --fast" package "rclcpp_components" }
+  node a : Talker in pipeline { out -> /a }
+}
+node b : Talker in /front/pipeline { out -> /b }
+"""
+PROGRAM = 'container pipeline { run "component_container_mt --fast" package "rclcpp_components" }'
+
+
+def read(folder: Path, text: str = TEXT) -> Specification:
+    path = folder / "s.stride"
+    path.write_text(text, encoding="utf-8")
+    return load(path).require()
+
+
+def errors(folder: Path, *edits: tuple[str, str]) -> list[tuple[str, str, str]]:
+    text, path = TEXT, folder / "s.stride"
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+    return [(each.code, each.message, each.help or "") for each in load(path).diagnostics if each.severity == "error"]
+
+
+def test_it_is_read_written_and_compared(tmp_path: Path) -> None:
+    specification = read(tmp_path)
+    program = ContainerProgram("component_container_mt --fast", "rclcpp_components")
+    assert dict(specification.containers) == {"front/pipeline": program}
+    assert specification.members_of("front/pipeline") == ["b", "front/a"]
+    instance = specification.instance("front/a")
+    assert (instance.container, instance.process) == (SharedContainer("front/pipeline", program), "front/pipeline")
+    assert decode_specification(encode_specification(specification)) == specification
+    assert InstanceForm.of(instance).instance() == instance
+    assert format_text(TEXT).text == TEXT
+    default = read(tmp_path, TEXT.replace(PROGRAM, "container pipeline"))
+    assert default.containers["front/pipeline"] == ContainerProgram()
+    assert [str(each) for each in differences(specification, default)] == [
+        "container front/pipeline: changed\n"
+        "  run: component_container_mt --fast of package rclcpp_components -> component_container of package "
+        "rclcpp_components",
+        "node b: replaced\n  container front/pipeline has another program",
+        "node front/a: replaced\n  container front/pipeline has another program",
+    ]
+    alone = read(tmp_path, TEXT.replace(" in /front/pipeline", ""))
+    assert [str(each) for each in differences(specification, alone)] == [
+        "node b: replaced\n  container: front/pipeline -> not stated"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("edits", "code", "message", "help"),
+    [
+        ([("in pipeline", "in pipline")], "E008", "no container `front/pipline`", "did you mean `front/pipeline`?"),
+        ([("in /front/pipeline", "in /pipe")], "E008", "there is no container `pipe`", ""),
+        ([("node a", "node pipeline")], "E007", "names both a container and a node", "another name"),
+        ([('component "demo::Talker" package "demo"', '"talker"')], "E027", "is no composable node", "omit `in`"),
+        ([('package "demo"', 'package "demo" in "box"')], "E027", "states another program", "omit"),
+        ([(" gate preload", ' prefix "nice" gate preload')], "E027", "states a prefix", "omit it"),
+        ([("  output", '  environment { A = "b" }\n  output')], "E027", "states an environment", "omit it"),
+        ([("component_container_mt", "./box")], "E009", "names a file", "executable"),
+        ([('"rclcpp_components"', '"b x"')], "E009", "not a valid package", ""),
+        ([(PROGRAM, PROGRAM + "\n" + PROGRAM)], "E007", "container `front/pipeline` is already declared", ""),
+        ([('run "component_container_mt --fast"', "run box")], "E120", "the program of a component container", ""),
+        ([("Talker in pipeline", "Talker in")], "E120", "the name of a container", ""),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    tmp_path: Path, edits: list[tuple[str, str]], code: str, message: str, help: str
+) -> None:
+    found = errors(tmp_path, *edits)
+    assert any(each == code and message in said and help in hint for each, said, hint in found), found
+
+
+# -- in which process each new instance is ---------------------------------------------------------------------
+
+
+def changed(specification: Specification, request: PlanRequest, before: Change | None = None) -> Change:
+    start = initial(specification) if before is None else before.final
+    request = request.for_members(specification)
+    return requested_change(start, specification, request, request.target(specification))
+
+
+def processes(change: Change) -> dict[str, str]:
+    return {name: instance.process for name, instance in change.final.instances.items()}
+
+
+def test_one_leaves_for_a_process_for_itself_and_all_return_together(tmp_path: Path) -> None:
+    specification = read(tmp_path)
+    first = changed(specification, PlanRequest(restart=("b",)))
+    assert processes(first) == {"b_2": "", "front/a": "front/pipeline"}
+    assert any("b is unloaded from front/pipeline" in each for each in planner()(first).remarks)
+    second = changed(specification, PlanRequest(restart=("front/pipeline",)), first)
+    assert processes(second) == {"b_3": "front/pipeline_2", "front/a_2": "front/pipeline_2"}
+    assert any("loaded into a new process, front/pipeline_2" in each for each in planner()(second).remarks)
+    third = changed(specification, PlanRequest(restart=("front/pipeline",)), second)
+    assert set(processes(third).values()) == {"front/pipeline"}
+
+
+def test_what_is_added_joins_the_process_that_runs(tmp_path: Path) -> None:
+    specification = read(tmp_path)
+    moved = changed(specification, PlanRequest(restart=("front/pipeline",)))
+    without = changed(specification, PlanRequest(remove=("b",)), moved)
+    target = without.target
+    node = specification.nodes["b"]
+    again = requested_change(without.final, target, request := PlanRequest(add=(node,)), request.target(target))
+    assert processes(again)["b"] == "front/pipeline_2"
