@@ -33,10 +33,13 @@ PAGES = sorted(
 ON_ROS_2 = {
     "docs/how-to/bring-your-robot.md",
     "docs/how-to/from-launch-files.md",
+    "docs/how-to/nav2.md",
     "docs/how-to/replace-a-server.md",
     "docs/how-to/services.md",
     "docs/how-to/unmodified-nodes.md",
 }
+# With tens of processes of ROS 2.
+LARGE = {"docs/how-to/nav2.md"}
 RUN = {"sh", "python", "text", "json"}
 
 
@@ -160,6 +163,8 @@ def marks(name: str) -> list[pytest.MarkDecorator]:
     """In `make test` are the pages that lead to the others."""
     needed = [pytest.mark.alloy] if name == "docs/how-to/verify.md" else []
     needed += [pytest.mark.ros2] if name in ON_ROS_2 else []
+    if name in LARGE:
+        return [*needed, pytest.mark.long]
     return needed + ([pytest.mark.full] if name.startswith(("docs/how-to/", "examples/")) else [])
 
 

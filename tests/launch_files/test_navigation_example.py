@@ -68,6 +68,23 @@ def test_what_the_page_imports(tmp_path: Path) -> None:
     assert nodes["controller_server"]["parameters"] == {"controller_frequency": 20.0, "max_vel_x": 0.26}
 
 
+def test_the_bring_up_of_nav2_has_its_21_nodes(tmp_path: Path) -> None:
+    prefix = tmp_path / "install"
+    subprocess.run(["sh", EXAMPLE / "nav2" / "install.sh", prefix], check=True)
+    environment = {**os.environ, "AMENT_PREFIX_PATH": str(prefix)}
+    path = prefix / "share" / "nav2_bringup" / "launch" / "bringup.launch.xml"
+    target, apart = tmp_path / "imported.stride", {"use_composition": "False"}
+    alone = import_launch_file(path, apart, environment, target)
+    managed = import_launch_file(path, apart, environment, target, management="midstride")
+    split = import_launch_file(path, {}, environment, target, containers="split")
+    nodes = started(alone, tmp_path)
+    assert len(nodes) == 21 and alone.findings.counts() == {"lifecycle": 4}
+    managers = {role for role in nodes if role.startswith("lifecycle_manager_")}
+    assert len(managers) == 4 and set(started(managed, tmp_path)) == set(nodes) - managers
+    assert set(started(split, tmp_path)) == set(nodes)
+    assert nodes["planner_server"]["parameters"] == {"frequency": 5.0}
+
+
 @pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="ROS 2's launch is on no package index")
 def test_the_launch_files_in_python_start_the_same(tmp_path: Path) -> None:
     (tmp_path / "xml").mkdir()
