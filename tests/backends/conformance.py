@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from tests.conformance import CHECKS, SERVICE_CHECKS
+from tests.conformance import CHECKS, SERVICE_CHECKS, Check
 
 # `make test` runs these: start and stop, attach, carry over state, hand over, and what each does when something fails.
-# The simulator runs all checks every time, and `make test-all` runs all of them on every ROS.
+# The simulator runs all checks every time, and `make test-all` runs all of them on every ROS, of the
+# walks one of each kind.
 ESSENTIAL = {
     "starts_registers_and_waits",
     "stops_in_order",
@@ -28,12 +31,19 @@ ESSENTIAL = {
 }
 assert {check.__name__ for check in CHECKS} >= ESSENTIAL
 
-CHECKS_ON_ROS = [
-    pytest.param(check, id=check.__name__, marks=() if check.__name__ in ESSENTIAL else pytest.mark.full)
-    for check in CHECKS
-]
 # All but the essential ones cost a second or two each.
-SERVICE_CHECKS_ON_ROS = [
-    pytest.param(check, id=check.__name__, marks=() if check.__name__ == "hands_over_requests" else pytest.mark.full)
-    for check in SERVICE_CHECKS
-]
+ESSENTIAL_OF_SERVICES = {"hands_over_requests"}
+FIRST_WALKS = {"walks_at_random_1", "walks_at_random_with_services_1"}
+
+
+def _on_ros(check: Check) -> Any:
+    """With its mark: the walks with further seeds are among the long tests, which have many more."""
+    name = check.__name__
+    if name in ESSENTIAL | ESSENTIAL_OF_SERVICES:
+        return pytest.param(check, id=name)
+    further = name.startswith("walks_at_random_") and name not in FIRST_WALKS
+    return pytest.param(check, id=name, marks=pytest.mark.long if further else pytest.mark.full)
+
+
+CHECKS_ON_ROS = [_on_ros(check) for check in CHECKS]
+SERVICE_CHECKS_ON_ROS = [_on_ros(check) for check in SERVICE_CHECKS]

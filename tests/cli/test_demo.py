@@ -126,7 +126,7 @@ def test_as_a_command(midstride: Midstride) -> None:
     ("number", "moment"),
     [
         (signal.SIGINT, "hand over"),
-        pytest.param(signal.SIGTERM, "hand over", marks=pytest.mark.full),
+        pytest.param(signal.SIGTERM, "hand over", marks=pytest.mark.long),
         pytest.param(signal.SIGINT, "watching the subscribers", marks=pytest.mark.full),
     ],
 )
