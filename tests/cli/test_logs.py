@@ -63,6 +63,21 @@ def test_after_a_crash_the_log_of_the_instance_that_crashed_is_shown_too(tmp_pat
     assert found({}, ["talker_2"], "talker_2") == ["talker_2"]
 
 
+def test_nodes_that_share_a_container_share_its_log(tmp_path: Path) -> None:
+    space = workspace(tmp_path, pipeline="of both", talker_2="of one for itself", manager="of the manager")
+    shared = {**component("talker", role="talker"), "container": "pipeline", "process": "pipeline"}
+    alone = {**component("talker_2", role="talker"), "container": "pipeline"}
+
+    def found(node: str, *components: dict[str, Any]) -> list[str]:
+        return [path.stem for path in log_files(space, node, status(*components))]
+
+    assert found("talker", shared) == found("pipeline", shared) == ["pipeline"]
+    assert found("talker", alone) == ["talker_2"]
+    assert found("pipeline", shared, alone) == ["pipeline", "talker_2"]
+    assert found("pipeline") == ["pipeline"], "all of its nodes have crashed"
+    assert found("manager") == []
+
+
 def workspace(folder: Path, **logs: str) -> Workspace:
     (folder / "logs").mkdir(exist_ok=True)
     for name, text in logs.items():

@@ -26,18 +26,18 @@ _STAMP: Final = re.compile(r"(\[[A-Z]+\] \[)(\d{9,}\.\d+)(?=\])")
 def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Path]:
     """The logs of ``node``, a role, an instance or a container: those of what has crashed first, the live one's last.
 
-    Nodes that share the process of a container share its log.
-
-    Without the manager's ``status``, those of every instance that has had its name, the newest last.
+    Nodes that share the process of a container share its log. Without the manager's ``status``, those of every instance
+    that has had its name, the newest last.
     """
     if status is not None:
         named = (each for each in status.instances if node in (each.role, each.name, each.container, each.process))
         live = list(dict.fromkeys(each.process or each.name for each in named))
         crashed = [each.name for each in status.crashed if is_named_after(each.name, node)]
         names = [*(name for name in crashed if name not in live), *live]
-        if not names and node.rpartition("_")[2].isdecimal():  # an instance that is no more, as after a roll-back
+        if not names:  # an instance that is no more, as after a roll-back, or a container of which all have crashed
             names = [node]
-        return [path for name in names if (path := workspace.logs / log_file_name(name)).exists()]
+        paths = [workspace.logs / log_file_name(name) for name in names]
+        return [path for path in paths if path.exists() and path != workspace.manager_log]
     found = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, dotted_name(node))]
     return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
 
