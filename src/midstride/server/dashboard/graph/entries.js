@@ -35,7 +35,7 @@ export function signature(entry) {
 export function crashedComponent({ name, role }) {
   const slash = name.lastIndexOf("/");
   const namespace = `/${slash < 0 ? "" : name.slice(0, slash)}`;
-  const nothing = { node: null, pid: null, host: null, waiting: null, deviation: null, ending: false, done: false, simulated_time: false, run: null, log_file: null };
+  const nothing = { container: null, process: null, node: null, pid: null, host: null, waiting: null, deviation: null, ending: false, done: false, simulated_time: false, run: null, log_file: null };
   const none = { differences: [], undeclared: [], other_nodes: [], other_nodes_unknown: null, functionalities: [], ports: [], parameters: [], endpoints: [] };
   return { name, role: role ?? name, component: "exited", namespace, reachable: false, answers: false, as_modelled: false, ...nothing, ...none };
 }

@@ -105,6 +105,8 @@ function newComponent(create, view) {
     component: create.component,
     namespace: before?.namespace ?? `/${slash < 0 ? "" : create.role.slice(0, slash)}`,
     host: before?.host ?? null,
+    container: create.container?.name ?? null,
+    process: create.process || null,
     node: null,
     pid: null,
     reachable: true,
