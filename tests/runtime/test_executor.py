@@ -20,7 +20,7 @@ from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.executor import _estimates
 from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.change_observer import ChangeObserver
-from midstride.runtime.process import launcher, pacing
+from midstride.runtime.process import pacing, pending_starts
 from midstride.wire.commands import AttachCommand, Command, DetachCommand, ModesCommand, SetParametersCommand
 from midstride.wire.replies import Attached, Detached
 from tests.model import build
@@ -335,7 +335,7 @@ def registering_one_a_second(tmp_path: Path, idle: Callable[[float], float]) -> 
         running = asyncio.ensure_future(b.carry_out([Create(each) for each in many]))
         for each in many:
             await asyncio.sleep(1)
-            starting.append(b.launcher.starting())
+            starting.append(b.launcher.pending.count())
             assert each.name in b.backend.running, "the next one is always starting"
             b.client.register(each)
         await running
@@ -382,7 +382,7 @@ def hung(tmp_path: Path, others: int, every: float) -> tuple[float, str]:
 def test_while_others_register_a_start_has_more_time(tmp_path: Path) -> None:
     others = PROCESSORS - 1
     at, why = hung(tmp_path, others, every=20)
-    assert at == pytest.approx(20 * others + launcher.REGISTRATION_TIMEOUT)
+    assert at == pytest.approx(20 * others + pending_starts.REGISTRATION_TIMEOUT)
     assert f"within {at:g} s" in why
 
 
@@ -391,7 +391,7 @@ def test_registration_is_not_awaited_without_limit_while_others_register(
 ) -> None:
     plant(monkeypatch, SimulatedClock, "processors", lambda self: 100)
     at, _ = hung(tmp_path, 50, every=20)
-    assert at == pytest.approx(launcher.REGISTRATION_LIMIT)
+    assert at == pytest.approx(pending_starts.REGISTRATION_LIMIT)
 
 
 def test_where_one_creation_fails_what_was_started_ahead_is_ended(tmp_path: Path) -> None:

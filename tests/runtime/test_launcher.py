@@ -17,14 +17,8 @@ from midstride.model.configuration import Instance
 from midstride.runtime.backend_protocol import Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.instance_life import ConnectionEvent, InstanceLife, ProcessState
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.process.launcher import (
-    ADOPT_TIMEOUT,
-    REGISTRATION_TIMEOUT,
-    RELEASE_TIMEOUT,
-    STOP_GRACE,
-    Launcher,
-    stop_times,
-)
+from midstride.runtime.process.launcher import ADOPT_TIMEOUT, RELEASE_TIMEOUT, STOP_GRACE, Launcher, stop_times
+from midstride.runtime.process.pending_starts import REGISTRATION_TIMEOUT
 from midstride.wire.commands import ObserveCommand, ReleaseCommand, WelcomeCommand
 from midstride.wire.state import Endpoint, GoalCounts
 from tests.model import build
@@ -87,7 +81,7 @@ def test_the_wait_for_the_first_of_several_processes_leaves_no_wait_for_the_othe
         for each in (CAMERA, rear):
             await b.launcher.start(each)
         before = asyncio.all_tasks()
-        first = asyncio.ensure_future(b.launcher.first_decided([CAMERA.name, rear.name], 60.0))
+        first = asyncio.ensure_future(b.launcher.pending.first_decided([CAMERA.name, rear.name], 60.0))
         await asyncio.sleep(1)
         b.client.register(rear)
         assert await first == rear.name

@@ -18,7 +18,7 @@ from midstride.model.specification import Node, Order, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.process.launcher import ONCE_TIMEOUT
+from midstride.runtime.process.pending_starts import ONCE_TIMEOUT
 from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
 from tests.planting import plant

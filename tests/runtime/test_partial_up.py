@@ -17,7 +17,7 @@ from midstride.model.specification import Keep, Limit, Order, Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.process.launcher import REGISTRATION_TIMEOUT
+from midstride.runtime.process.pending_starts import REGISTRATION_TIMEOUT
 from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import EXAMPLES, example, replace, rewritten, saved, up

@@ -18,7 +18,7 @@ from midstride.model.component import ComponentSpec
 from midstride.model.specification import Node, Specification
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.process.launcher import REGISTRATION_TIMEOUT
+from midstride.runtime.process.pending_starts import REGISTRATION_TIMEOUT
 from midstride.runtime.records.reports import Event
 from midstride.runtime.workspace import Workspace
 from midstride.server.manager_lifecycle import Lifecycle

@@ -121,7 +121,7 @@ class EarlyStarts:
     async def _start_all(self, actions: Iterable[Create]) -> None:
         launcher, clock, started = self.driver.launcher, self.driver.backend.clock, dict[str, Create]()
         for action in actions:
-            await room_for_a_start(clock, launcher.starting)
+            await room_for_a_start(clock, launcher.pending.count)
             try:
                 try:
                     await self._start_ahead(action)

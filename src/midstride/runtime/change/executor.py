@@ -155,7 +155,7 @@ class Executor:
             return indices
         if indices[0] in order.late:
             late = {each: next(iter(self.change.actions[each].instances())) for each in order.late}
-            first = await launcher.first_decided(late.values())
+            first = await launcher.pending.first_decided(late.values())
             index = next((each for each, name in late.items() if name == first), indices[0])
             order.resume(index)
             self._awaited.add(index)
@@ -166,7 +166,7 @@ class Executor:
             await self._starts.start_before(action)
         self._begin_ahead(indices[0], overlap)
         undecided = {action.instance.name: index for action, index in zip(actions, indices, strict=True)}
-        while undecided and (decided := await launcher.first_decided(undecided, LATE)) is not None:
+        while undecided and (decided := await launcher.pending.first_decided(undecided, LATE)) is not None:
             del undecided[decided]
         for index in undecided.values():
             order.postpone(index)

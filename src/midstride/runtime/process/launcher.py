@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import os
 import shlex
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
@@ -36,20 +35,13 @@ from midstride.runtime.instance_life import STOPPED, LatestState, ProcessEvent
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.process.launches import launch_of
+from midstride.runtime.process.pending_starts import CHECK_STOPPED, ONCE_TIMEOUT, REGISTRATION_LIMIT, PendingStarts
 from midstride.runtime.process.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
 from midstride.wire.frames import Greeting, Registration
 from midstride.wire.state import ComponentState, Endpoint, GoalCounts
 
-# How long a process may take to register (s), including imports of large libraries, if no other registers meanwhile.
-REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
-# On a machine that is busy with the starts of others: how long it may take at most (s).
-REGISTRATION_LIMIT: Final = 10 * REGISTRATION_TIMEOUT
-# How long a program that ends (`once`) may take, besides what its component states (s): a spawner waits for others.
-ONCE_TIMEOUT: Final = 60.0
-# How often a process that starts is checked for having been stopped (s).
-CHECK_STOPPED: Final = 0.5
 # How long a component may take to end in order before it is killed (s), unless it asks for longer.
 STOP_GRACE: Final = 3.0
 # How long a running component may take to accept a connection of a new manager (s).
@@ -94,15 +86,10 @@ class Launcher:
         self._client = client
         self._directory = directory
         self._options = options
-        self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
-        self._exits: dict[str, asyncio.Future[Exited]] = {}
-        self._started_at: dict[str, float] = {}  # steady s
-        self._startups: dict[str, float] = {}  # how long these take to start besides, as their components state (s)
+        self.pending = PendingStarts(backend)
         self._components: dict[str, ComponentSpec] = {}  # of the processes that it has started or adopted
         self._asked: dict[str, float] = {}  # how long these take to end, as they have said (s)
-        self._to_end: set[str] = set()  # of those that start, the ones whose program is to end
         self._unfinished: dict[str, str] = {}  # in which way the `on_stop` of those that end has failed
-        self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self._life = client.life
         # Called with an instance whose end was cut short, the seconds that it had, words, and in which way: False if a
         # process had to be killed, True if it has ended by itself and left something undone, as where `on_stop` fails.
@@ -123,10 +110,7 @@ class Launcher:
 
         Returns True if it has done its work, and was to end.
         """
-        waiting = self._exits.get(event.instance)
-        if waiting is not None and not waiting.done():
-            waiting.set_result(event)
-        return event.instance in self._to_end and event.status == 0
+        return self.pending.exited(event)
 
     def on_component_event(self, event: ComponentEvent) -> None:
         """A component has reported its state, or it has disconnected."""
@@ -177,19 +161,12 @@ class Launcher:
         Raises StartFailed, or what ``start_values`` raises.
         """
         name = instance.name
-        if name in self._starting:
+        if name in self.pending:
             return False
         set_values = start_values(instance)
         self._forget_process(name)  # it may have exited without being asked to
-        self._exits[name] = asyncio.get_running_loop().create_future()
-        self._started_at[name] = self._backend.clock.steady()
-        self._startups[name] = instance.component.startup_seconds or 0.0
-        if instance.component.once:  # it does not register
-            self._to_end.add(name)
-            self._starting[name] = asyncio.get_running_loop().create_future()
-        else:
-            self._starting[name] = asyncio.ensure_future(self._client.registered(name))
-            self._starting[name].add_done_callback(self._registration_done)
+        registering = None if instance.component.once else asyncio.ensure_future(self._client.registered(name))
+        self.pending.begin(name, instance.component.startup_seconds or 0.0, registering)
         if instance.component.run is None:
             self._life.started(name, None)
             return True
@@ -208,13 +185,9 @@ class Launcher:
             )
             self._life.started(name, await self._backend.start(launch))
         except BaseException:
-            self._forget_start(name)
+            self.pending.forget(name)
             raise
         return True
-
-    def _registration_done(self, registering: asyncio.Future[tuple[Greeting, Registration]]) -> None:
-        if not registering.cancelled() and registering.exception() is None:
-            self._last_registration = self._backend.clock.steady()
 
     def takes_spare(self, instance: Instance) -> bool:
         """Return whether the program of ``instance`` can be started in a spare process."""
@@ -230,21 +203,10 @@ class Launcher:
             and self._backend.takes_spare(arguments, self._directory)
         )
 
-    def starting(self) -> int:
-        """How many processes that are to register have been started, and have neither done so nor exited."""
-        registering = ((name, each) for name, each in self._starting.items() if name not in self._to_end)
-        return sum(not (each.done() or self._exits[name].done()) for name, each in registering)
-
     async def first_exit(self, names: Iterable[str]) -> tuple[str, StartFailed] | None:
         """The first of these processes that exits before it has registered, and how; None if all have registered."""
-        exits = {self._exits[name]: name for name in names if name in self._exits}
-        while exits:
-            done, _ = await asyncio.wait(exits, return_when=asyncio.FIRST_COMPLETED)
-            for exit in done:
-                name = exits.pop(exit)
-                if not exit.cancelled():
-                    return name, StartFailed(_describe_exit(exit.result()))
-        return None
+        found = await self.pending.first_exit(names)
+        return None if found is None else (found[0], StartFailed(_describe_exit(found[1])))
 
     async def registered(self, instance: Instance) -> None:
         """Start ``instance`` unless it is starting, wait until it registers, check its declaration, and accept it.
@@ -260,8 +222,7 @@ class Launcher:
             self._asked[name] = (await self._welcome(name)).stopping
             self._life.record(name, ProcessEvent.REGISTERED)
         except (Exception, asyncio.CancelledError) as error:
-            exiting = self._exits.get(name)
-            itself = exiting is not None and exiting.done() and not exiting.cancelled()  # it is not ended here
+            itself = self.pending.exit_of(name) is not None  # it is not ended here
             await self.abandon(name)
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
                 ended = self._life[name].exit if self._life.has_exited(name) else None
@@ -271,7 +232,7 @@ class Launcher:
                 raise StartFailed(f"{name} registered but could not be accepted: {error}") from error
             raise
         finally:
-            self._forget_start(name)
+            self.pending.forget(name)
 
     async def completed(self, instance: Instance) -> None:
         """Wait until the program of ``instance``, which has been started, has ended with status 0.
@@ -281,26 +242,27 @@ class Launcher:
         """
         name, component = instance.name, instance.component
         try:
-            await self._decided(name)
-            if not self._exits[name].done():
+            _, exiting = self.pending.awaited(name)
+            await self.pending.decided(name)
+            if not exiting.done():
                 limit = ONCE_TIMEOUT + (component.startup_seconds or 0.0)
                 raise StartFailed(
                     f"{name} has not ended within {limit:g} s (it was started with `{component.run}`); state how long "
                     "its program takes (`takes 60 s once`), or omit `once` if it keeps running"
                 )
-            if self._exits[name].result().status != 0:
-                raise StartFailed(_describe_exit(self._exits[name].result(), "with its work not done"))
+            if (ended := exiting.result()).status != 0:
+                raise StartFailed(_describe_exit(ended, "with its work not done"))
             self._life.record(name, ProcessEvent.COMPLETED)
         except (Exception, asyncio.CancelledError):
             await self.abandon(name)
             raise
         finally:
-            self._forget_start(name)
+            self.pending.forget(name)
 
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
         name, run = instance.name, instance.component.run
-        registering, exiting = self._starting[name], self._exits[name]
-        waited = await self._decided(name)
+        registering, exiting = self.pending.awaited(name)
+        waited = await self.pending.decided(name)
         if registering.done():
             return registering.result()
         if exiting.done():
@@ -317,60 +279,6 @@ class Launcher:
             f"its `run` command.{log}"
         )
 
-    async def _decided(self, name: str) -> float | None:
-        """Wait until a process that starts has registered or exited, was stopped, or has had its time.
-
-        Returns how long that was (s), None if it has not had it. One that is to end does not register, and has its time
-        also while it is stopped.
-        """
-        begun, startup = self._started_at[name], self._startups[name]
-        waits: list[asyncio.Future[Any]] = []
-        if name in self._to_end:
-            timeout = asyncio.ensure_future(self._until(begun, ONCE_TIMEOUT + startup))
-        else:
-            timeout = asyncio.ensure_future(self._patience(begun, startup))
-            waits.append(asyncio.ensure_future(self._stopped(name)))
-        waits.append(timeout)
-        first: set[asyncio.Future[Any]] = {self._starting[name], self._exits[name], *waits}
-        try:
-            await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
-            return timeout.result() if timeout.done() and not timeout.cancelled() else None
-        finally:
-            for each in waits:
-                each.cancel()
-
-    async def _until(self, begun: float, seconds: float) -> float:
-        """Wait until so many seconds have passed since ``begun``, and return them."""
-        await self._backend.clock.sleep(max(0.0, begun + seconds - self._backend.clock.steady()))
-        return seconds
-
-    async def first_decided(self, names: Iterable[str], quiet: float | None = None) -> str | None:
-        """The first of these processes that has registered or exited, was stopped, or has had its time to register.
-
-        One that was not started counts as well. None after ``quiet`` s in which no process has registered.
-        """
-        waiting = {}
-        for name in names:
-            if name not in self._starting:
-                return name
-            waiting[asyncio.ensure_future(self._decided(name))] = name
-        if not waiting:
-            return None
-        idle = None if quiet is None else asyncio.ensure_future(self._quiet(waiting.values(), quiet))
-        first: set[asyncio.Future[Any]] = {*waiting, *(() if idle is None else (idle,))}
-        try:
-            done, _ = await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
-            return next((name for each, name in waiting.items() if each in done), None)
-        finally:
-            for each in first:
-                each.cancel()
-
-    async def _quiet(self, names: Iterable[str], seconds: float) -> None:
-        """Return when no process has registered for so long (s), nor one of these has been started."""
-        clock, begun = self._backend.clock, max(self._started_at[name] for name in names)
-        while (left := max(begun, self._last_registration) + seconds - clock.steady()) > 0:
-            await clock.sleep(left)
-
     async def _welcome(self, name: str) -> ComponentState:
         """Accept a component that has registered; returns its state.
 
@@ -384,29 +292,9 @@ class Launcher:
                 await self._client.observe(name)
                 return await self._client.change(name, WelcomeCommand(manager=str(os.getpid())))
             except CallTimeout:
-                if not self.starting() or self._backend.is_stopped(name) or clock.steady() >= deadline:
+                if not self.pending.count() or self._backend.is_stopped(name) or clock.steady() >= deadline:
                     raise
             await clock.sleep(CHECK_STOPPED)
-
-    async def _stopped(self, name: str) -> None:
-        """Return once the process has been stopped for ``STOPPED`` seconds: it is not just slow."""
-        clock, since = self._backend.clock, math.inf
-        while clock.steady() - since < STOPPED:
-            await clock.sleep(CHECK_STOPPED)
-            since = min(since, clock.steady()) if self._backend.is_stopped(name) else math.inf
-
-    async def _patience(self, begun: float, startup: float) -> float:
-        """Wait as long as a component started at ``begun`` may take to register; returns how long that was (s).
-
-        ``startup``: how long its start takes as it states, which is given to it besides (s).
-        """
-        clock = self._backend.clock
-        while True:
-            last = max(begun, self._last_registration)
-            remaining = min(last + REGISTRATION_TIMEOUT, begun + REGISTRATION_LIMIT) + startup - clock.steady()
-            if remaining <= 0:
-                return round(clock.steady() - begun, 1)
-            await clock.sleep(remaining)
 
     def _verify(self, instance: Instance, greeting: Greeting, registration: Registration) -> None:
         name, component = instance.name, instance.component
@@ -422,17 +310,9 @@ class Launcher:
         if faults:
             raise StartFailed(f"{name} is not the {component.name} that was declared: " + "; ".join(faults))
 
-    def _forget_start(self, name: str) -> None:
-        self._started_at.pop(name, None)
-        self._startups.pop(name, None)
-        self._to_end.discard(name)
-        for waiting in (self._starting.pop(name, None), self._exits.pop(name, None)):
-            if waiting is not None:
-                waiting.cancel()
-
     async def abandon(self, name: str) -> BackendError | None:
         """Stop waiting for ``name``, and terminate its process if there is one; returns why that failed."""
-        self._forget_start(name)
+        self.pending.forget(name)
         if self._life[name].is_owned:
             try:
                 await self.end(name)
