@@ -37,6 +37,10 @@ def switched(made: ReceiptNotes, *, on: bool) -> int:
     return asyncio.run(made.switch(commands.RecordCommand(inputs=["in"], on=on))).now
 
 
+def read(made: ReceiptNotes) -> replies.Records:
+    return asyncio.run(made.read(READ))
+
+
 def received(gates: Gates, number: int) -> None:
     entry = gates.entry("in")
     before = entry.passed
@@ -49,7 +53,7 @@ def test_each_message_is_noted_with_its_number_and_writer(lab: AnsweringLab) -> 
     for _ in range(2):  # the second change uses the same file
         begun = switched(made, on=True)
         received(gates, 50)
-        found = made.read(READ)
+        found = read(made)
         switched(made, on=False)
         rows = found.rows
         assert len(rows) >= 50 and found.publisher_identity and found.moments is None
@@ -62,7 +66,7 @@ def test_each_message_is_noted_with_its_number_and_writer(lab: AnsweringLab) -> 
         answered = {number for _, number, _ in lab.records()}
         assert set(numbers[:-1]) <= answered, "what the node has made of them"
         with pytest.raises(CommandRefused, match="in is not recorded"):
-            made.read(READ)
+            read(made)
         noted = made.noted("in")
         received(gates, 20)
         assert made.noted("in") <= noted + 1, "no longer"
@@ -77,12 +81,12 @@ def test_what_is_not_known_is_refused(lab: AnsweringLab, monkeypatch: pytest.Mon
     received(gates, 5)
     gates.entry("in").gated += 1000  # as where a program takes many messages in one call
     with pytest.raises(CommandRefused, match="not all that in has received was noted"):
-        made.read(READ)
+        read(made)
     switched(made, on=True)
     received(gates, 5)
     monkeypatch.setattr(receipts, "RECEIPTS", 4)
     with pytest.raises(CommandRefused, match="more than 4 messages"):
-        made.read(READ)
+        read(made)
     silent = Gates(lab.page, lab.page.allocate("silent"), gates.component)
     silent.prepare({"out": "/chat", "in": "/numbers"})
     with pytest.raises(CommandRefused, match="in has received nothing yet that the library sees"):
@@ -100,5 +104,5 @@ def test_what_is_taken_behind_a_closed_gate_is_received_all_the_same(lab: Answer
     entry = gates.entry("in")
     before = entry.gated
     until(lambda: entry.gated >= before + 20, "it is not taken")
-    found: replies.Records = made.read(READ)
+    found = read(made)
     assert len(found.rows) >= 20

@@ -76,12 +76,14 @@ def test_the_bring_up_of_nav2_has_its_21_nodes(tmp_path: Path) -> None:
     target, apart = tmp_path / "imported.stride", {"use_composition": "False"}
     alone = import_launch_file(path, apart, environment, target)
     managed = import_launch_file(path, apart, environment, target, management="midstride")
+    composed = import_launch_file(path, {}, environment, target)
     split = import_launch_file(path, {}, environment, target, containers="split")
     nodes = started(alone, tmp_path)
     assert len(nodes) == 21 and alone.findings.counts() == {"lifecycle": 4}
     managers = {role for role in nodes if role.startswith("lifecycle_manager_")}
     assert len(managers) == 4 and set(started(managed, tmp_path)) == set(nodes) - managers
-    assert set(started(split, tmp_path)) == set(nodes)
+    assert set(started(split, tmp_path)) == set(started(composed, tmp_path)) == set(nodes)
+    assert composed.text.count("in /nav2_container") == 21 and "/nav2_container" not in split.text
     assert nodes["planner_server"]["parameters"] == {"frequency": 5.0}
 
 

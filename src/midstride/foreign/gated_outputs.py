@@ -126,7 +126,7 @@ class GatedOutputs(UngatedOutputs):
         return await self._receipts.switch(command)
 
     async def records(self, command: commands.RecordsCommand) -> replies.Records:
-        return self._receipts.read(command)
+        return await self._receipts.read(command)
 
     # -- waiting ---------------------------------------------------------------------------------------
 

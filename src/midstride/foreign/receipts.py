@@ -20,7 +20,7 @@ from midstride.foreign.page_layout import RECEIPTS, PagePort, PageReceipt, PageR
 from midstride.wire import commands, replies
 
 # How long a call that was taking a message when noting began may take to count it (s).
-TAKING: Final = 0.05
+TAKING: Final = 0.01
 
 
 @dataclass
@@ -61,8 +61,8 @@ class ReceiptNotes:
         await self.sleep(TAKING)
         self._begun[name] = self.noted(name), _taken(entry)
 
-    def read(self, command: commands.RecordsCommand) -> replies.Records:
-        """Return what an input has received. Raises CommandRefused where some of it is not known."""
+    async def read(self, command: commands.RecordsCommand) -> replies.Records:
+        """Return what an input has received until now. Raises CommandRefused where some of it is not known."""
         if (begun := self._begun.get(command.input)) is None:
             raise CommandRefused(f"{command.input} is not recorded")
         entry = self.gates.entry(command.input)
@@ -73,7 +73,12 @@ class ReceiptNotes:
             raise CommandRefused(f"not all that {command.input} has received was noted")
         if count - begun[0] > RECEIPTS:
             raise CommandRefused(f"{command.input} has received more than {RECEIPTS} messages meanwhile")
-        rows = [_receipt(each) for each in _last(path, begun[0], count)]
+        if (noted := _last(path, begun[0], count)) is None:  # a thread is writing one
+            await self.sleep(TAKING)
+            noted = _last(path, begun[0], count)
+        if noted is None:
+            raise CommandRefused(f"not all that {command.input} has received was noted")
+        rows = [_receipt(each) for each in noted if each.received <= now]
         rows = list({(row.publisher, row.number): row for row in rows if row.number is not None}.values()) + [
             row for row in rows if row.number is None
         ]
@@ -97,14 +102,14 @@ def _taken(entry: PagePort) -> int:
     return int(entry.passed + entry.gated)
 
 
-def _last(path: Path, begin: int, end: int) -> list[PageReceipt]:
-    """The receipts of the places from ``begin`` to ``end`` that are complete, in their order."""
+def _last(path: Path, begin: int, end: int) -> list[PageReceipt] | None:
+    """The receipts of the places from ``begin`` to ``end``, in their order; None where one is not complete."""
     try:
         found = PageReceipts.from_buffer_copy(path.read_bytes())
     except (OSError, ValueError) as error:
         raise CommandRefused(f"{path} cannot be read: {error}") from None
     receipts = [found.last[place % RECEIPTS] for place in range(begin, end)]
-    return [each for place, each in enumerate(receipts, begin) if each.place == place + 1]
+    return receipts if all(each.place == place + 1 for place, each in enumerate(receipts, begin)) else None
 
 
 def _receipt(noted: PageReceipt) -> replies.Receipt:
