@@ -666,6 +666,11 @@ def why_unmeasured(component: ComponentSpec) -> str | None:
     return None
 
 
+def bound_not_known(server: str, name: str, because: str) -> str:
+    """Return that nothing shows whether a server answers as it promises: ``name`` is that of its service."""
+    return f"whether {server} answers on {name} in time ({because})"
+
+
 def unmeasured_in_words(components: Mapping[str, ComponentSpec]) -> list[str]:
     """The nodes of which nothing measures what they do, one text for each reason; by role, their components."""
     return [f"what {listed(roles)} {_do(roles)} ({because})" for because, roles in _unmeasured(components).items()]

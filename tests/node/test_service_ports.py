@@ -202,6 +202,22 @@ def test_wrong_use_says_what_to_write(declare: Callable[[Component], object], me
         declare(comp)
 
 
+def test_a_component_with_servers_does_not_start_where_there_are_no_services(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on ROS 1."""
+    comp = Component("Docking")
+    dock = comp.create_server("dock", Trigger, lambda request, response: None)
+    work = comp.create_functionality("work", outputs=[dock])
+    work.set_normal_mode(nothing, outputs=[dock])
+    work.set_degraded_mode(nothing)
+    host = SimpleNamespace(has_services=False)
+    monkeypatch.setattr(
+        "midstride.node.author.component_class.host_factory", lambda context: lambda name, namespace: host
+    )
+    words = r"component Docking has servers or clients \(dock\), which need ROS 2: run it there"
+    with pytest.raises(NodeError, match=words):
+        comp.start()
+
+
 def test_the_bound_of_a_server_is_not_stated_by_a_mode() -> None:
     comp = Component("wrong")
     count = comp.create_server("count", Trigger, lambda request, response: None)

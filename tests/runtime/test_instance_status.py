@@ -9,15 +9,18 @@ import pytest
 from immutables import Map
 from msgspec import structs
 
-from midstride.model.component import FunctionalityRef
-from midstride.model.configuration import Configuration
+from midstride.lang import load_text
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.specification import Node, Specification
 from midstride.runtime.records.status_forms import FunctionalityStatus, PortStatus
-from midstride.runtime.view.condition import _faults
+from midstride.runtime.view.condition import _faults, unmeasured_bounds
 from midstride.runtime.view.instance_status import _deviations
 from midstride.runtime.view.watched_system import Baseline
+from midstride.wire.state import LinkState, MeasuredResponses
 from tests.model.build import work
 from tests.runtime.scripted import TALKER, instance, reported
+from tests.wire.bare_state import bare_state
 
 RUNNING = instance("talker_2", TALKER, "talker")
 STATE = reported(RUNNING)
@@ -106,3 +109,44 @@ def test_a_mode_below_the_baseline_or_unknown_is_a_fault(mode: str, level: int, 
         ports=[],
     )
     assert bool(list(_faults(watched, status))) is said
+
+
+SERVED = """system maps
+contract Map = nav_msgs/srv/GetMap responds within 50 ms
+service /map : Map
+component Maps {{
+  run "maps" gate {gate}
+  server map
+  functionality serve {{ produces map  mode normal {{ guarantee map : Map }}  mode off {{ }} }}
+}}
+node maps : Maps {{ map -> /map }}
+"""
+
+
+@pytest.mark.parametrize(
+    ("gate", "simulated", "measured", "because"),
+    [
+        ("none", False, False, "nothing counts requests (`gate none`)"),
+        ("preload", True, False, "nothing that measures rates follows `/clock`"),
+        ("preload", True, True, None),
+        ("preload", False, False, None),  # it has just been started
+    ],
+)
+def test_whether_a_server_is_in_time_is_not_known_where_nothing_measures_it(
+    gate: str, simulated: bool, measured: bool, because: str | None
+) -> None:
+    specification = load_text(SERVED.format(gate=gate)).require()
+    port = PortRef("maps", "map")
+    configuration = configure(
+        specification.context,
+        [Instance("maps", "maps", specification.components["Maps"])],
+        specification.attachments_of("maps"),
+        {FunctionalityRef("maps", "serve"): 0},
+    )
+    link = LinkState(gate="open", count=0, responses=MeasuredResponses(within=0.05, tolerated=5) if measured else None)
+    state = bare_state("maps", ports={"map": {"/map": link}}, simulated_time=simulated)
+    system: Any = SimpleNamespace(configuration=configuration, life=SimpleNamespace(responsive=lambda name: state))
+    words = [] if because is None else [f"whether {port} answers on /map in time ({because})"]
+    assert list(unmeasured_bounds(system, "maps")) == words
+    system.life.responsive = lambda name: None
+    assert list(unmeasured_bounds(system, "maps")) == []

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from midstride import verdicts
 from midstride.runtime.records.status_forms import CrashedInstance, InstanceStatus, SilenceFault
+from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.watched_system import WatchedSystem
 
 
@@ -38,10 +39,31 @@ def condition(
         len(components),
         sum(role in best for role in components),
         [*faults, *violations],
-        verdicts.unmeasured_in_words({role: component for role, component in components.items() if role in best}),
+        [
+            *verdicts.unmeasured_in_words({role: each for role, each in components.items() if role in best}),
+            *(words for role in sorted(best) for words in unmeasured_bounds(watched.system, best[role][0].name)),
+        ],
         answering=sum(best[role][0].reachable or best[role][0].done for role in components if role in best),
         slow=[words for role in sorted(best) for words in _below_rate(best[role][0], far=False)],
     )
+
+
+def unmeasured_bounds(system: RunningSystem, instance: str) -> Iterator[str]:
+    """Yield of which servers of an instance nothing shows whether they keep their bounds, and why."""
+    configuration, state = system.configuration, system.life.responsive(instance)
+    if state is None or instance not in configuration.instances:
+        return
+    gate = configuration.component(instance).gate
+    for port, connector in configuration.attached_ports(instance):
+        name = configuration.topic(connector)
+        link = state.ports.get(port.port, {}).get(name)
+        serves = configuration.is_output(port) and not configuration.is_topic(connector)
+        if not serves or link is None or link.responses is not None or configuration.bound(port) is None:
+            continue
+        if gate == "none":
+            yield verdicts.bound_not_known(str(port), name, "nothing counts requests (`gate none`)")
+        elif state.simulated_time:
+            yield verdicts.bound_not_known(str(port), name, "nothing that measures rates follows `/clock`")
 
 
 def _faults(watched: WatchedSystem, instance: InstanceStatus) -> Iterator[str]:
