@@ -9,7 +9,8 @@ import pytest
 from midstride.lang.load import load_text
 from midstride.model.component import FunctionalityRef
 from midstride.plan.request import PlanRequest
-from tests.acceptance.foreign_support import robot
+from tests.acceptance.foreign_support import declared_talker, robot
+from tests.acceptance.serving import SERVER as TALKER
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 
@@ -49,29 +50,33 @@ try:
 except (KeyboardInterrupt, ExternalShutdownException):
     pass
 """
-TEXT = """system bounds
-timing { watch_after 4 s }
+TEXT = f"""system bounds
+topic /chat : std_msgs/msg/String @ 50 Hz
+{declared_talker("Talker", "python3 talker.py", "preload")}
+timing {{ watch_after 4 s }}
 contract Listing = rcl_interfaces/srv/ListParameters responds within 0.2 s
 service /map : Listing
-component Maps {
+component Maps {{
   run "python3 server.py"
   server map
-  functionality serve { produces map  mode normal { guarantee map : Listing }  mode off { } }
-}
-component Late like Maps { run "python3 server.py late" }
-component User {
+  functionality serve {{ produces map  mode normal {{ guarantee map : Listing }}  mode off {{ }} }}
+}}
+component Late like Maps {{ run "python3 server.py late" }}
+component User {{
   run "python3 user.py" gate preload
   client map : Listing tolerates 5 missed
-  functionality mapping { uses map  mode normal { assume map }  mode off { } }
-}
-node maps : Maps { map -> /map }
-node user : User { map <- /map }
+  functionality mapping {{ uses map  mode normal {{ assume map }}  mode off {{ }} }}
+}}
+node talker : Talker {{ out -> /chat }}
+node maps : Maps {{ map -> /map }}
+node user : User {{ map <- /map }}
 """
 
 
 def test_the_bound_of_a_server_with_the_api_is_measured(tmp_path: Path) -> None:
     (tmp_path / "server.py").write_text(SERVER)
     (tmp_path / "user.py").write_text(USER)
+    (tmp_path / "talker.py").write_text(TALKER)
 
     async def scenario() -> None:
         from rcl_interfaces.srv import ListParameters
