@@ -121,6 +121,14 @@ def test_only_what_is_in_quarantine_runs_again(
     assert "once" in capsys.readouterr().out
 
 
+def test_what_computes_is_there_and_runs_apart_from_what_is_timed() -> None:
+    files = suites.computing_files()
+    assert all((ROOT / file).is_file() for file in (*files, *suites.TIMED))
+    assert len(files) > 100 and len(files) == len(set(files))
+    assert not set(suites.TIMED) & set(files)
+    assert all(any(file.startswith(each) for file in files) for each in suites.COMPUTING)
+
+
 def test_suites_run_at_once_but_for_those_of_one_list() -> None:
     chosen = [suites.Suite(name, ["true"]) for name in ("waiting", "computing", "kilted", "ros1", "make lint")]
 

@@ -49,11 +49,13 @@ GRACE = 5.0
 PATIENCE = 1200
 # The tests that compute most of the time. The others wait, for processes and for messages.
 COMPUTING = (
-    *(f"tests/{name}" for name in "capture codec examples lang model node plan runtime simulation verify wire".split()),
+    *(f"tests/{name}" for name in "codec examples lang model node plan runtime simulation verify wire".split()),
     "tests/docs/test_site.py",
     *(f"tests/foreign/test_{name}_model.py" for name in "answers baton goals requests".split()),
     "tests/server/test_openapi_conformance.py",
 )
+# But these: they watch what processes do within fractions of a second.
+TIMED = ("tests/runtime/test_process.py",)
 # What concerns a platform, every day: the back ends, and ...
 PLATFORM = ("tests/backends", "tests/test_ground.py")
 # ... in `make test-all` also what rests on the rcl, rclpy and middleware of a distribution: the gate in a C library,
@@ -79,6 +81,12 @@ def quarantine(text: str) -> dict[str, str]:
         elif line and not line.startswith("#"):
             entries[line] = []
     return {test: " ".join(words) for test, words in entries.items()}
+
+
+def computing_files() -> list[str]:
+    folders_and_files = (sorted(path.rglob("test_*.py")) or [path] for path in (ROOT / each for each in COMPUTING))
+    names = (str(file.relative_to(ROOT)) for files in folders_and_files for file in files)
+    return [name for name in names if name not in TIMED]
 
 
 @dataclass
@@ -155,7 +163,7 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     markers, daily = options.markers, "not full" in options.markers
     paths = [each for each in options.arguments if each.startswith("tests/")]
     given = [each for each in options.arguments if each not in paths]
-    computing = [each for each in paths if each.startswith(COMPUTING)]
+    computing = [each for each in paths if each.startswith(COMPUTING) and not each.startswith(TIMED)]
     waiting = [each for each in paths if each not in computing]
     # Where ROS 1 is there, its tests have their own suite and environment; else they are skipped, and say so.
     first = ["-m", f"not ros1 and ({markers})" if options.ros1 else markers, *given]
@@ -164,12 +172,12 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     background = [idle, "--idle", "0"] if idle else ["nice", "-n", "10"]
     found = []
     if waiting or not paths:
-        chosen = waiting or [f"--ignore={folder}" for folder in COMPUTING]
+        chosen = waiting or [f"--ignore={file}" for file in computing_files()]
         workers = processors * 3 // 2
         found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers))
     if computing or not paths:
         patience = [f"--timeout={PATIENCE}", "-o", f"faulthandler_timeout={PATIENCE + 30}"] if idle else []
-        arguments = [*first, *patience, *(computing or COMPUTING)]
+        arguments = [*first, *patience, *(computing or computing_files())]
         found.append(Suite("computing", [*background, tool["in-venv"]], arguments, processors))
     if options.kilted:
         folders = PLATFORM if daily else () if markers == "long" else SECOND_PLATFORM
