@@ -25,9 +25,11 @@ from tests.composition import StandIn
 # Its types and its container are compiled first, which takes longer than the rest.
 pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.long]
 
+CLASSES = ("demo::Talker", "demo::Maker", "demo::Failing", "demo::Crashing")
 ROBOT = """system grouped
 topic /front/chat  : std_msgs/msg/String @ 45 Hz
 topic /front/other : std_msgs/msg/String @ 45 Hz
+topic /front/made  : std_msgs/msg/String @ 45 Hz
 component Talker {
   run component "demo::Talker" package "demo" gate preload
   output out as chatter
@@ -41,6 +43,7 @@ component Later like Talker {
   run component "demo::Talker" package "demo" gate preload
   parameters { first = 5000 }
 }
+component Maker like Talker { run component "demo::Maker" package "demo" gate preload }
 component Failing like Talker { run component "demo::Failing" package "demo" gate preload }
 component Crashing like Talker { run component "demo::Crashing" package "demo" gate preload }
 namespace front {
@@ -53,6 +56,10 @@ namespace front {
     out -> other
     respawn
   }
+  node maker : Maker in pipeline {
+    out -> made
+    respawn
+  }
 }
 """
 
@@ -60,6 +67,7 @@ namespace front {
 @pytest.fixture
 def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StandIn:
     made = StandIn(tmp_path / "prefix")
+    made.install("demo", CLASSES)
     before = os.environ.get("AMENT_PREFIX_PATH")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{made.prefix}{os.pathsep}{before}" if before else str(made.prefix))
     monkeypatch.syspath_prepend(made.python)
@@ -101,10 +109,12 @@ def test_nodes_that_share_a_container_are_replaced_alone_and_moved_together(stan
             neighbour = Neighbour(made)
             before = await pids(made)
             assert before["front/talker"] == before["front/other"]
-            (one, two) = (await made.manager.status()).instances
-            assert (one.other_nodes, two.other_nodes) == ([], [])
+            maker, *rest = (await made.manager.status()).instances
+            assert [each.name for each in maker.other_nodes] == ["/made/inner"], "the node that it has made is its own"
+            assert [each.other_nodes for each in rest] == [[], []]
+            one = rest[0]
             assert (one.container, one.process) == ("front/pipeline", "front/pipeline")
-            stand_in.install("demo", ("demo::Talker", "demo::Failing", "demo::Crashing"), text="new")
+            stand_in.install("demo", CLASSES, text="new")
 
             for component, why in (("Failing", "no device"), ("Crashing", "signal 6")):
                 refused = await made.change(component, role="front/talker")
@@ -123,7 +133,9 @@ def test_nodes_that_share_a_container_are_replaced_alone_and_moved_together(stan
             assert writers(neighbour.heard) == ["front/pipeline-old"]
             assert holes(neighbour.heard) == []
 
-            moved = await made.meanwhile(made.manager.change(PlanRequest(restart=("front/pipeline",))))
+            moved = await made.meanwhile(
+                made.manager.change(PlanRequest(restart=("front/pipeline",), with_other_nodes=True))
+            )
             assert (moved.outcome, moved.because) == ("done", None)
             await made.hears(20)
             together = await pids(made)
@@ -138,7 +150,7 @@ def test_nodes_that_share_a_container_are_replaced_alone_and_moved_together(stan
             os.kill(crashed, signal.SIGKILL)
 
             def again() -> bool:
-                return len(made.manager.configuration.instances) == 2
+                return len(made.manager.configuration.instances) == 3
 
             await made.until(lambda: not again())
             await made.until(again)

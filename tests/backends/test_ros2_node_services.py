@@ -76,7 +76,7 @@ class Container:
             if name.endswith("load_node"):
                 self.asked.append(now)
             else:
-                there = [] if now < self.asked[0] + self.loads else ["/front/talker"]
+                there = ["/front/talker"] if self.asked and now >= self.asked[0] + self.loads else []
                 responses.insert(0, (Mock(request_id=Mock(sequence_number=7)), Mock(full_node_names=there)))
             return 7
 

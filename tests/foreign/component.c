@@ -1,5 +1,5 @@
 /* A library with composable nodes: `demo::Talker` publishes "INSTANCE NUMBER TEXT" on `chatter`, 50 times a second,
- * and begins to count after the parameter `first`; `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled. */
+ * and begins to count after the parameter `first`; `demo::Maker` does so as well, and has made a node `/made/inner`; `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled. */
 #include "composable.h"
 
 #include <rosidl_runtime_c/string_functions.h>
@@ -14,6 +14,7 @@ struct talker {
   rcl_publisher_t publisher;
   std_msgs__msg__String message;
   long long number;
+  rcl_node_t inner;
 };
 
 static void talk(struct composable *self)
@@ -30,6 +31,9 @@ static void stop(struct composable *self)
   struct talker *talker = self->state;
   require(rcl_publisher_fini(&talker->publisher, &self->node), "publisher");
   std_msgs__msg__String__fini(&talker->message);
+  if (rcl_node_is_valid(&talker->inner))
+    require(rcl_node_fini(&talker->inner), "inner node");
+  rcl_reset_error();
   free(talker);
 }
 
@@ -47,6 +51,11 @@ const char *create(struct composable *self, const char *plugin, double (*number_
                              "chatter", &options),
           "publisher");
   std_msgs__msg__String__init(&talker->message);
+  talker->inner = rcl_get_zero_initialized_node();
+  if (strcmp(plugin, "demo::Maker") == 0) {
+    rcl_node_options_t inner = rcl_node_get_default_options();
+    require(rcl_node_init(&talker->inner, "inner", "/made", self->node.context, &inner), "inner node");
+  }
   self->state = talker;
   talker->number = number_of("first", 0);
   self->period = 20000000;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -29,7 +30,8 @@ class ContainerServices(RosNodeServices):
         """Have the node loaded within ``timeout`` (s). Raises BackendError: why it is not.
 
         It is asked once: a container that handles several requests at a time, and is busy with this one, would have the
-        node twice. Where no response comes, it is asked which nodes it has.
+        node twice. Where no response comes, it is asked which nodes it has. So it is before: the graph may still show
+        the services of an earlier container of its name, which has ended, and the request would be lost.
         """
         from composition_interfaces.srv import ListNodes, LoadNode
 
@@ -54,8 +56,11 @@ class ContainerServices(RosNodeServices):
             extra_arguments=_messages(request.extra),
         )
         what = f"{request.plugin} of package {request.package}"
+        deadline = asyncio.get_running_loop().time() + timeout
         try:
-            response = await self._call(LoadNode, _LOAD, timeout, message, listed)
+            await self._call(ListNodes, _LIST, timeout)
+            left = deadline - asyncio.get_running_loop().time()
+            response = await self._call(LoadNode, _LOAD, left, message, listed)
         except _Listed:
             return
         except NoAnswer as error:
