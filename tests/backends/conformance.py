@@ -31,8 +31,9 @@ ESSENTIAL = {
 }
 assert {check.__name__ for check in CHECKS} >= ESSENTIAL
 
-# All but the essential ones cost a second or two each.
+# All but the essential ones cost a second or two each, and those that are among the long tests more.
 ESSENTIAL_OF_SERVICES = {"hands_over_requests"}
+LONG = {"has_the_results_that_its_predecessor_has_left"}
 FIRST_WALKS = {"walks_at_random_1", "walks_at_random_with_services_1"}
 
 
@@ -42,8 +43,9 @@ def _on_ros(check: Check) -> Any:
     if name in ESSENTIAL | ESSENTIAL_OF_SERVICES:
         return pytest.param(check, id=name)
     further = name.startswith("walks_at_random_") and name not in FIRST_WALKS
-    return pytest.param(check, id=name, marks=pytest.mark.long if further else pytest.mark.full)
+    return pytest.param(check, id=name, marks=pytest.mark.long if further or name in LONG else pytest.mark.full)
 
 
+assert {check.__name__ for check in SERVICE_CHECKS} >= LONG
 CHECKS_ON_ROS = [_on_ros(check) for check in CHECKS]
 SERVICE_CHECKS_ON_ROS = [_on_ros(check) for check in SERVICE_CHECKS]

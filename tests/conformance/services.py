@@ -94,6 +94,46 @@ async def hands_over_goals(lab: Lab) -> None:
     assert set(statuses) == {"status 4"}, statuses
 
 
+async def _with_a_goal(lab: Lab, seconds: float) -> None:
+    """Two servers, and a client that has a goal accepted by the old one, and does nothing about it at present."""
+    await _serve(lab, "old", puppets.server(kind=puppets.FIBONACCI, goals=seconds))
+    await _serve(lab, "new", puppets.server(kind=puppets.FIBONACCI, goals=seconds), replaces="old")
+    later = {"cancel": 1 if seconds > 1 else 1000, "fetch": [0]}
+    await _ask(lab, puppets.asker(puppets.FIBONACCI, rate=0.5, later=later))
+
+    async def served() -> int:
+        return int((await lab.exported("old"))["served"].get("answer", 0))
+
+    await lab.eventually("the old one has a goal", served)
+    await lab.mode("asker", "ask", "degraded")
+    assert await _responses(lab) == []
+
+
+@service_check
+async def cancels_a_goal_where_it_is(lab: Lab) -> None:
+    """A client cancels a goal, and asks for its result, after the change-over: the old server has it."""
+    await _with_a_goal(lab, 5.0)
+    await lab.change("new", "answer", peer="old")
+    await lab.mode("asker", "ask", "normal")
+    words = await lab.eventually("it has ended", lambda: _responses(lab))
+    assert words[0] == "status 5", words
+    assert (await lab.exported("old"))["served"] == {"answer": 1}
+
+
+@service_check
+async def has_the_results_that_its_predecessor_has_left(lab: Lab) -> None:
+    """A client asks for the result of a goal when the server that had it has ended."""
+    await _with_a_goal(lab, 0.3)
+    await lab.sleep(0.5)
+    await lab.change("new", "answer", peer="old")
+    await lab.eventually("the old one reports that", lambda: _is_closed(lab, "old"))
+    await lab.change("old", "stop")
+    await lab.sleep(2.0)
+    await lab.mode("asker", "ask", "normal")
+    words = await lab.eventually("it has the result", lambda: _responses(lab))
+    assert words[0] == "status 4", words
+
+
 @service_check
 async def degrades_where_its_server_is_gone(lab: Lab) -> None:
     """As the server leaves the graph with its mode, and again as its process dies; requests end with it."""

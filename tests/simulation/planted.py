@@ -11,11 +11,14 @@ import pytest
 
 from midstride.errors import CallTimeout
 from midstride.model.action import Create, Remove
+from midstride.node.accepted_goals import Goals
 from midstride.node.author import service_ports
 from midstride.node.author.service_ports import ClientPort
 from midstride.node.control import component_agent
+from midstride.node.control.command_handlers import CommandHandlers
+from midstride.node.control.service_answering import Answering
 from midstride.node.handover import cut, cut_protocol
-from midstride.node.request_admission import RequestAdmission
+from midstride.node.request_admission import RequestAdmission, Turn
 from midstride.runtime.change import executor, reconciler
 from midstride.runtime.handover import live_handover
 from midstride.runtime.process import component_client, launcher
@@ -311,6 +314,45 @@ def _server_believed_there(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(service_ports, "ABSENT", math.inf)
 
 
+def _goals_not_left(patch: pytest.MonkeyPatch) -> None:
+    """The new instance answers what is asked about the goals of the old one."""
+    opened = RequestAdmission.open
+    plant(patch, RequestAdmission, "open", lambda self, handled, goals=(): opened(self, handled))
+
+
+def _results_not_left(patch: pytest.MonkeyPatch) -> None:
+    """The old instance does not leave the results that no client has fetched."""
+
+    async def hand_over_results(self: Any) -> None:
+        self.admission.goals.hand_over()
+
+    plant(patch, Answering, "hand_over_results", hand_over_results)
+
+
+def _goals_not_awaited(patch: pytest.MonkeyPatch) -> None:
+    """The old instance ends before its goals have."""
+
+    async def goals_end(self: Any, seconds: float) -> bool:
+        return True
+
+    plant(patch, CommandHandlers, "_goals_end", goals_end)
+
+
+def _results_not_looked_for(patch: pytest.MonkeyPatch) -> None:
+    """The new instance does not look for what the old one has left."""
+    plant(patch, Goals, "kept", lambda self, goal: None)
+
+
+def _cancelled_by_the_wrong_one(patch: pytest.MonkeyPatch) -> None:
+    """The instance that answers goes ahead with a request to cancel a goal of the other one."""
+    turn = RequestAdmission.turn
+
+    def whoever(self: Any, request: str, about: str, later: Any) -> Turn:
+        return Turn.ANSWER if request.startswith("cancel") and self.is_open else turn(self, request, about, later)
+
+    plant(patch, RequestAdmission, "turn", whoever)
+
+
 # Each with words of the violation by which it is found.
 PLANTED: Final[dict[str, tuple[Plant, str]]] = {
     function.__name__.strip("_").replace("_", " "): (function, words)
@@ -349,6 +391,11 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_answered_again, "is answered 2 times"),
         (_unanswered_not_ended, "and does not know that there is none"),
         (_server_believed_there, "has had no server for more than"),
+        (_goals_not_left, "is answered by"),
+        (_results_not_left, "is not known"),
+        (_goals_not_awaited, "has ended, and a goal of"),
+        (_results_not_looked_for, "is not known"),
+        (_cancelled_by_the_wrong_one, "the cancelling of a goal"),
     )
 }
 

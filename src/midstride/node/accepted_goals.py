@@ -138,6 +138,11 @@ class Goals:
             left = {id: goal.result for id, goal in self._own.items() if goal.result is not None and not goal.fetched}
             return {**self._kept, **{goal: result() for goal, result in left.items()}}
 
+    @property
+    def handed_over(self) -> bool:
+        """Return whether a successor answers what is asked about the goals that were accepted here."""
+        return self._handed_over
+
     def keep(self, results: Mapping[str, bytes]) -> None:
         """Keep the results that a predecessor has handed over; the oldest are given up beyond KEPT_RESULTS."""
         with self._lock:

@@ -81,6 +81,7 @@ class Invariants:
         uninterrupted: Callable[[], bool],
         torn: Callable[[], bool],
         violated: Callable[[str], None],
+        deafened: Callable[[], bool] = bool,
     ) -> None:
         """A new seed begins.
 
@@ -91,14 +92,18 @@ class Invariants:
         ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
         ``torn()``: whether one of two instances may take the other one for dead.
         ``violated`` is called once for each violation, with words.
+        ``deafened()``: whether a fault may keep an instance that ends from telling another one what it leaves to it.
         """
         self.reaction, self.lateness, self.uninterrupted, self.violated = reaction, lateness, uninterrupted, violated
         self.requests.torn, self.requests.violated = torn, self._violation
+        self.requests.goals.torn, self.requests.goals.violated = deafened, self._violation
         self.heard.clear()
         self._reported.clear()
 
     def on_change(self, process: StandIn) -> None:
         state = process.state
+        if process.dead:
+            self.requests.goals.on_exit(process)
         if process.dead or state is None:
             if self._shown.pop(process.instance, None) is not None:
                 self.due = self._changed = True

@@ -7,7 +7,7 @@ It runs any component of the model on any back end. The description is JSON::
                                "silent": true, "every": 5, "driven": "message", "sync": 0.05}},
      "refuse": {"speed": [13]}, "on_stop": {"write": "bye", "sleep": 1, "timeout": 2},
      "at_import": {"sleep": 1, "raise": "words", "exit": 3}, "keeps_state": true, "stateless": true,
-     "latest": ["in"], "wrong_type": "out", "endless": true, "goals": 0.3}
+     "latest": ["in"], "wrong_type": "out", "endless": true, "goals": 0.3, "later": {"cancel": 4, "fetch": [0, 9]}}
 
 Everything but ``component`` is optional. A mode that guarantees a rate is called at the highest rate that it
 guarantees; one that only assumes inputs, for every message; one that assumes clients alone, at 5 Hz; any other, once.
@@ -15,9 +15,11 @@ A call writes one message to each output that its mode guarantees: the text of t
 "instance mode n". ``sleep`` blocks and ``pause`` awaits before the write; with ``at_call``, these and ``raise`` apply
 to that call only. With ``every``, each fifth call writes, say, and no other. A call also sends a request by each client
 that its mode assumes, or a goal where none is in progress. A server responds with "instance n", but not while its mode
-is ``silent``; a goal takes ``goals`` seconds. The exported state lists what was received, called and imported; by
-client, how many requests were sent, what was responded, and how many ended without a response; and by server, how many
-were served.
+is ``silent``; a goal takes ``goals`` seconds, and its result is such a text. The result of a goal is asked for at once;
+with ``later``, so many calls later, as ``fetch`` lists them for successive goals, and each goal whose number ``cancel``
+divides is cancelled at the first of them. The exported state lists what was received, called and
+imported; by client, how many requests were sent, what was responded, and how many ended without a response; and by
+server, how many were served.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 from midstride.backends.common_messages import message_class
@@ -44,6 +47,17 @@ ASKING: Final = 5.0
 GOAL_SECONDS: Final = 0.3
 # How often a server that is silent looks whether it still is (s).
 SILENCE_LOOK: Final = 0.1
+
+
+@dataclass
+class _Accepted:
+    """A goal of an action client. ``links``: its attachments when that was accepted."""
+
+    handle: Any
+    links: Any
+    number: int
+    fetched: Callable[[Any], object]
+    calls: int = 0
 
 
 class Puppet:
@@ -66,6 +80,8 @@ class Puppet:
         self._asked: dict[str, int] = {}
         self._responded: dict[str, list[str]] = {}
         self._unanswered: dict[str, int] = {}
+        # By action client, the accepted goal whose result has not been asked for yet, and the calls since.
+        self._accepted: dict[str, _Accepted] = {}
         self.functionalities: dict[str, Functionality] = {}
         self._ports()
         for functionality in self._declared:
@@ -138,13 +154,15 @@ class Puppet:
 
     def _executor(self, name: str) -> Callable[[Any], Any]:
         async def execute(goal: Any) -> Any:
-            self._served[name] = self._served.get(name, 0) + 1
+            count = self._served[name] = self._served.get(name, 0) + 1
             await self.component.clock.sleep(self._description.get("goals", GOAL_SECONDS))
             if goal.is_cancel_requested:
                 goal.canceled()
             else:
                 goal.succeed()
-            return self.outputs[name].type.Result()  # type: ignore[attr-defined]
+            result = self.outputs[name].type.Result()  # type: ignore[attr-defined]
+            set_text(result, f"{self.component.instance} {count}")
+            return result
 
         return execute
 
@@ -260,6 +278,7 @@ class Puppet:
         name = client.name
         asked, ended = self._asked.get(name, 0), len(self._responded.get(name, ())) + self._unanswered.get(name, 0)
         if not client.attached or (isinstance(client, ActionClientPort) and asked > ended):
+            self._follow(client)
             return
         self._asked[name] = asked + 1
 
@@ -273,14 +292,37 @@ class Puppet:
             if future.exception() is not None or not future.result().accepted:
                 noted(future, lambda _: "rejected")
                 return
-            result = future.result().get_result_async()
-            result.add_done_callback(lambda future: noted(future, lambda result: f"status {result.status}"))
+            self._accepted[name] = _Accepted(future.result(), client.links, asked + 1, fetched)
+            if "later" not in self._description:
+                self._fetch(name)
+
+        def fetched(future: Any) -> None:
+            noted(future, lambda result: f"status {result.status}")
 
         type_: Any = client.type
         if isinstance(client, ActionClientPort):
             client.send_goal_async(type_.Goal()).add_done_callback(given)
         else:
             client.call_async(type_.Request()).add_done_callback(lambda future: noted(future, text_of))
+
+    def _follow(self, client: ClientPort) -> None:
+        """At a call while a goal of ``client`` is in progress: cancel it, or ask for its result, if it is time."""
+        if (goal := self._accepted.get(client.name)) is None:
+            return
+        if goal.links != client.links:  # it was detached meanwhile
+            del self._accepted[client.name]
+            self._unanswered[client.name] = self._unanswered.get(client.name, 0) + 1
+            return
+        later: dict[str, Any] = self._description["later"]
+        if goal.calls == 0 and goal.number % later["cancel"] == 0:
+            goal.handle.cancel_goal_async()
+        goal.calls += 1
+        if goal.calls > later["fetch"][goal.number % len(later["fetch"])]:
+            self._fetch(client.name)
+
+    def _fetch(self, name: str) -> None:
+        goal = self._accepted.pop(name)
+        goal.handle.get_result_async().add_done_callback(goal.fetched)
 
     def _changed(self, name: str) -> Callable[[Any], None]:
         def on_change(value: Any) -> None:

@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from midstride.backends.simulator.service_network import ServiceObserver, SimulatedRequest
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.node.author.service_ports import OVERDUE
 from midstride.node.control.shortfall import LONG_FLOOR
 from midstride.node.request_admission import HOLD
+from midstride.simulation.goal_invariants import GoalInvariants
 from midstride.simulation.platform import Platform
 from midstride.simulation.stand_in import StandIn
 
@@ -38,7 +39,11 @@ class RequestInvariants(ServiceObserver):
     violated: Callable[[str], None] = lambda words: None
     torn: Callable[[], bool] = lambda: False
 
+    def __post_init__(self) -> None:
+        self.goals = GoalInvariants(self.platform)
+
     def on_sent(self, request: SimulatedRequest) -> None:
+        self.goals.on_sent(request)
         if (limit := self._limit(request)) < math.inf:
             self.platform.time.loop.call_later(limit, self._check_answered, request)
 
@@ -81,7 +86,11 @@ class RequestInvariants(ServiceObserver):
             self.violated(f"a request to {request.client.name} is not executed, although {process.instance} has got it")
 
     def on_executed(self, request: SimulatedRequest, process: SimulatedProcess) -> None:
+        """Check that one instance executes it, once; or, where it is about a goal, the one that has that."""
         assert isinstance(process, StandIn)
+        if request.kind in ("result", "cancel"):
+            self.goals.on_executed(request, process)
+            return
         request.executed.append(process)
         if len(request.executed) > 1 and not self.torn():
             names = " and ".join(each.instance for each in request.executed)
@@ -91,7 +100,12 @@ class RequestInvariants(ServiceObserver):
                 names = " and ".join(sorted((process.instance, other.instance)))
                 self.violated(f"{names} both answer requests to {request.client.name}")
 
-    def on_response(self, request: SimulatedRequest, process: SimulatedProcess) -> None:
+    def on_ended(self, goal: str, process: SimulatedProcess, response: Any) -> None:
+        self.goals.on_ended(goal, response)
+
+    def on_response(self, request: SimulatedRequest, process: SimulatedProcess, response: Any) -> None:
+        assert isinstance(process, StandIn)
+        self.goals.on_response(request, process, response)
         self.heard[f"{process.instance} responds"] = self.heard.get(f"{process.instance} responds", 0) + 1
-        if request.responses > 1 and not self.torn():
+        if request.responses > 1 and not (self.torn() or self.goals.may_answer_again(request)):
             self.violated(f"a request to {request.client.name} is answered {request.responses} times")

@@ -104,7 +104,9 @@ class Simulation:
         self._loop.random.seed(self._random.getrandbits(32))
         self._platform.network.random.seed(self._random.getrandbits(32))
         system.on_event, system.on_exit = self._on_manager_event, self._on_exit
-        system.invariants.begin(self._reaction, self._lateness, self._uninterrupted, self._torn, self._violated)
+        system.invariants.begin(
+            self._reaction, self._lateness, self._uninterrupted, self._torn, self._violated, self._deafened
+        )
         self._platform.control.before_request = self._before_request
         self._platform.control.on_carried_out_twice = self._on_carried_out_twice
         self._step = "none"
@@ -310,6 +312,9 @@ class Simulation:
     def _torn(self) -> bool:
         """Return whether an instance may take another one for dead that lives: only what has exited is unreachable."""
         return self._has_struck("unreachable")
+
+    def _deafened(self) -> bool:
+        return self._has_struck(*DEAFENING)
 
     def _has_struck(self, *faults: str) -> bool:
         return any(each.fault in faults for each in self._struck)

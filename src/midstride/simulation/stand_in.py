@@ -31,6 +31,12 @@ from midstride.simulation.puppet import Puppet
 from midstride.simulation.threadless import ThreadlessProcess
 from midstride.wire.state import ComponentState
 
+# Which of the goals that a client sends it has cancelled: each so many. And after how many of its calls it asks for the
+# results of successive goals: at once, before the goal has ended, and later, perhaps of the instance that comes next.
+CANCELLED: Final = 4
+FETCHED: Final = (0, 12, 30)
+# How long a goal takes (s): longer than a replaced instance goes on for other reasons.
+GOAL: Final = 2.2
 _NOTHING: Final = contextlib.nullcontext()
 # What the types of services and ROS actions consist of.
 _PARTS: Final[dict[ConnectorKind, tuple[str, ...]]] = {
@@ -63,6 +69,8 @@ def _stand_in(component: ComponentSpec, keeps_state: bool) -> ComponentSpec:
         "component": encode_component(replace(plain, run=None)),
         "keeps_state": keeps_state,
         "stateless": not keeps_state,
+        "goals": GOAL,
+        "later": {"cancel": CANCELLED, "fetch": FETCHED},
     }
     word = f"{component.name}-{zlib.crc32(json.dumps(described).encode()):08x}"
     _described[word] = component, described
@@ -201,6 +209,15 @@ class StandIn(ThreadlessProcess):
     def answers(self) -> bool:
         """True while it runs, and answers requests."""
         return not self.dead and self.admission is not None and self.admission.is_open
+
+    def has_goal(self, goal: str) -> bool:
+        """Return whether it says that it answers what is asked about ``goal``."""
+        return self.admission is not None and self.admission.goals.has(goal)
+
+    @property
+    def replaced(self) -> bool:
+        """True once it has left the results of its goals to another instance."""
+        return self.admission is not None and self.admission.goals.handed_over
 
     def lost_servers(self) -> set[str]:
         """Return the clients of it that have seen their server, or a response, and have no server in the graph now."""

@@ -6,8 +6,8 @@ from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop, run_paced
 
 PUBLIC = (
-    "CooperativeThread Ended ProcessOutput RequestFault ServiceObserver SimulatedProcess SimulatedProgram "
-    "SimulatedRequest SimulatedWriter Simulator ThreadYield"
+    "CooperativeThread Ended ProcessOutput RequestFault SUCCEEDED ServiceObserver SimulatedProcess "
+    "SimulatedProgram SimulatedRequest SimulatedWriter Simulator ThreadYield UNKNOWN"
 )
 
 __all__ = ["PacedLoop", "Simulator", "VirtualLoop", "run_paced"]

@@ -8,6 +8,7 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any, Final
 
+from midstride.backends.admitted_goals import MANY, AdmittedGoals, GoalRequest
 from midstride.backends.retiring_server import RetiringServer
 from midstride.backends.sent_goals import hand_on
 from midstride.backends.simulator.message_copy import copied
@@ -16,14 +17,15 @@ from midstride.backends.simulator.simulated_future import SimulatedFuture
 from midstride.node.component_host import GoalAnswers
 from midstride.node.request_admission import PassableRequest, RequestAdmission
 
-# States of a goal, as `action_msgs/msg/GoalStatus` has them; and what a request to cancel one is answered that is not
-# known, as `action_msgs/srv/CancelGoal` has it.
+# States of a goal, as `action_msgs/msg/GoalStatus` has them; and how a request is answered that cancels no goal, or is
+# about one that is not known, as `action_msgs/srv/CancelGoal` has it.
 UNKNOWN: Final = 0
 ACCEPTED: Final = 1
 EXECUTING: Final = 2
 SUCCEEDED: Final = 4
 CANCELED: Final = 5
 ABORTED: Final = 6
+REJECTED: Final = 1
 UNKNOWN_GOAL: Final = 2
 
 
@@ -118,8 +120,7 @@ class SimulatedGoal:
         self.status = EXECUTING
         self.is_cancel_requested = False
         self.result: Any = None
-        # Called with the result.
-        self.waiting: list[Callable[[Any], object]] = []
+        self._waiting: list[Callable[[Any], object]] = []
         self._server, self._sent = server, sent
 
     @property
@@ -148,15 +149,26 @@ class SimulatedGoal:
         """Note that the function of the goal has returned: one that has set no status has aborted."""
         self.status = ABORTED if self.is_active else self.status
         self.result = result
-        for respond in self.waiting:
-            respond(self.response())
+        self._server.end.network.observer.on_ended(self.goal_id, self._server.end.owner, self._response())
+        for function in self._waiting:
+            function(self._response())
 
-    def response(self) -> Any:
+    def when_ended(self, function: Callable[[Any], object]) -> None:
+        """Have ``function`` called with the response that has the result."""
+        if self.is_active or self.result is None:
+            self._waiting.append(function)
+        else:
+            function(self._response())
+
+    def _response(self) -> Any:
         return SimpleNamespace(status=self.status, result=self.result)
 
 
 class SimulatedActionServer(RetiringServer[GoalAnswers]):
-    """A ROS action of a process: in the graph until its goals have ended. ``gone`` is called when it has left."""
+    """A ROS action of a process: in the graph until its goals have ended. ``gone`` is called when it has left.
+
+    Implements :class:`midstride.backends.admitted_goals.GoalServer`.
+    """
 
     def __init__(
         self,
@@ -171,37 +183,27 @@ class SimulatedActionServer(RetiringServer[GoalAnswers]):
         self.end = end
         self._gone = gone
         self._goals: dict[str, SimulatedGoal] = {}
+        self._requests = AdmittedGoals(self, admission, later)
         end.network.servers.append(self)
 
     def arrive(self, request: SimulatedRequest) -> None:
         """On the loop. One that has left the graph meanwhile receives nothing."""
-        if self in self.end.network.servers:
-            self.end.owner.enqueue(partial(self._admit, request))
+        if self not in self.end.network.servers or request.kind == "request":
+            return
+        goal = request.identity if request.kind == "goal" else request.request
+        self._later(partial(self._requests.handle, GoalRequest(request.kind, request.identity, goal, request)))
 
-    def _admit(self, request: SimulatedRequest) -> None:
-        handle = partial(self._handle, request)
-        timed = self.end.name if request.kind == "goal" else ""
-        if self.admission.admit(request.identity, lambda: self._later(handle), service=timed):
-            handle()
+    @property
+    def timed_as(self) -> str:
+        return self.end.name
 
-    def _handle(self, request: SimulatedRequest) -> None:
+    async def accept(self, entry: SimulatedRequest) -> None:
         end = self.end
-        end.network.observer.on_executed(request, end.owner)
-        serve: dict[RequestKind, Callable[[SimulatedRequest, Callable[[Any], object]], object]] = {
-            "goal": self._accept,
-            "result": self._give_result,
-            "cancel": self._cancel,
-        }
-        try:
-            serve[request.kind](request, partial(end.network.respond, request, end.owner))
-        finally:
-            self.admission.finished(request.identity)
-
-    def _accept(self, request: SimulatedRequest, respond: Callable[[Any], object]) -> None:
-        accepted = not self.retired and self.answer.accepts(copied(request.request.goal))
-        respond(SimpleNamespace(accepted=accepted))
+        end.network.observer.on_executed(entry, end.owner)
+        accepted = not self.retired and self.answer.accepts(copied(entry.request.goal))
+        end.network.respond(entry, end.owner, SimpleNamespace(accepted=accepted))
         if accepted:
-            goal = self._goals[request.identity] = SimulatedGoal(self, request)
+            goal = self._goals[entry.identity] = SimulatedGoal(self, entry)
             self._later(partial(self._execute, goal))
 
     async def _execute(self, goal: SimulatedGoal) -> None:
@@ -212,23 +214,49 @@ class SimulatedActionServer(RetiringServer[GoalAnswers]):
             goal.abort()
         goal.end(self.type.Result() if result is None else result)  # type: ignore[attr-defined]
 
-    def _give_result(self, request: SimulatedRequest, respond: Callable[[Any], object]) -> None:
-        goal = self._goals.get(request.request)
-        if goal is None:
-            respond(SimpleNamespace(status=UNKNOWN, result=self.type.Result()))  # type: ignore[attr-defined]
-        elif goal.is_active or goal.result is None:
-            goal.waiting.append(respond)
-        else:
-            respond(goal.response())
+    def knows(self, goal: str) -> bool:
+        return goal in self._goals
 
-    def _cancel(self, request: SimulatedRequest, respond: Callable[[Any], object]) -> None:
-        goal = self._goals.get(request.request)
-        if goal is None:
-            respond(SimpleNamespace(return_code=UNKNOWN_GOAL, goals_canceling=[]))
-            return
-        cancels = goal.is_active and self.answer.cancels(goal)
-        goal.is_cancel_requested = goal.is_cancel_requested or cancels
-        respond(SimpleNamespace(return_code=0 if cancels else 1, goals_canceling=[goal.goal_id] if cancels else []))
+    def when_ended(self, goal: str, function: Callable[[Any], object]) -> None:
+        self._goals[goal].when_ended(function)
+
+    async def give_result(self, entry: SimulatedRequest) -> None:
+        end = self.end
+        end.network.observer.on_executed(entry, end.owner)
+        respond = partial(end.network.respond, entry, end.owner)
+        if (goal := self._goals.get(entry.request)) is None:
+            respond(SimpleNamespace(status=UNKNOWN, result=self.type.Result()))  # type: ignore[attr-defined]
+        else:
+            goal.when_ended(respond)
+
+    def give_kept(self, entry: SimulatedRequest, response: bytes) -> None:
+        end = self.end
+        end.network.observer.on_executed(entry, end.owner)
+        end.network.respond(entry, end.owner, end.network.deserialized(response))
+
+    async def cancel(self, entry: SimulatedRequest | None, respond: Callable[[Any], object]) -> None:
+        if entry is not None:
+            self.end.network.observer.on_executed(entry, self.end.owner)
+        about = MANY if entry is None else entry.request
+        found = [goal for name, goal in self._goals.items() if about in (MANY, name)]
+        cancelled = [goal for goal in found if goal.is_active and self.answer.cancels(goal)]
+        for goal in cancelled:
+            goal.is_cancel_requested = True
+        code = 0 if cancelled else REJECTED if found or about == MANY else UNKNOWN_GOAL
+        respond(SimpleNamespace(return_code=code, goals_canceling=[goal.goal_id for goal in cancelled]))
+
+    def give_cancelled(self, entry: SimulatedRequest, response: Any, added: bytes | None) -> bool:
+        network = self.end.network
+        if added is not None and (more := network.deserialized(added).goals_canceling):
+            response = SimpleNamespace(return_code=0, goals_canceling=[*response.goals_canceling, *more])
+        network.respond(entry, self.end.owner, response)
+        return bool(response.return_code != UNKNOWN_GOAL)
+
+    def is_cancelled(self, response: Any) -> bool:
+        return bool(response.status == CANCELED)
+
+    def serialized(self, response: Any) -> bytes:
+        return self.end.network.serialized(response)
 
     def _leave(self) -> None:
         self.end.network.servers.remove(self)

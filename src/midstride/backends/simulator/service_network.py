@@ -78,8 +78,11 @@ class ServiceObserver:
     def on_executed(self, request: SimulatedRequest, process: SimulatedProcess) -> None:
         """The code of ``process`` is called for it."""
 
-    def on_response(self, request: SimulatedRequest, process: SimulatedProcess) -> None:
-        """``process`` has sent a response to it."""
+    def on_response(self, request: SimulatedRequest, process: SimulatedProcess, response: Any) -> None:
+        """``process`` has sent this response to it."""
+
+    def on_ended(self, goal: str, process: SimulatedProcess, response: Any) -> None:
+        """A goal has ended in ``process``, with this response to requests for its result."""
 
 
 class ServiceMiddleware(Protocol):
@@ -110,6 +113,7 @@ class ServiceNetwork:
         # Those whose clients still wait for a response, by identity.
         self.waiting: dict[str, SimulatedRequest] = {}
         self._count = 0
+        self._serialized: list[Any] = []
         # What is in flight between two ends, in order: when it arrives (steady s), and what happens then.
         self._in_flight: dict[tuple[object, object], deque[tuple[float, Callable[[], object]]]] = {}
 
@@ -149,13 +153,21 @@ class ServiceNetwork:
     def respond(self, request: SimulatedRequest, process: SimulatedProcess, response: Any) -> None:
         """Send the response to the client of ``request``."""
         request.responses += 1
-        self.observer.on_response(request, process)
+        self.observer.on_response(request, process, response)
         answer = copied(response)
         self._deliver((process, request.client), partial(self._arrived, request, answer))
 
     def send_message(self, client: ServiceEnd, sender: SimulatedProcess, function: Callable[[], object]) -> None:
         """Have ``function`` called in the client's process, as for a message that ``sender`` sends now."""
         self._deliver((sender, client), lambda: client.owner.enqueue(function))
+
+    def serialized(self, message: Any) -> bytes:
+        """Return bytes that stand for a copy of ``message``, of any class, in what is sent to another process."""
+        self._serialized.append(copied(message))
+        return str(len(self._serialized) - 1).encode()
+
+    def deserialized(self, data: bytes) -> Any:
+        return copied(self._serialized[int(data)])
 
     def give_up(self, request: SimulatedRequest) -> None:
         """Note that the client of ``request`` waits for a response no longer."""

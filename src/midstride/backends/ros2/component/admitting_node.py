@@ -6,7 +6,8 @@ The instances of a role have one node name, so every request to the node reaches
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -16,11 +17,11 @@ from rclpy.action import ActionClient, ActionServer
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from midstride.node.request_admission import PassableRequest, RequestAdmission, Turn
+from midstride.backends.admitted_goals import MANY, AdmittedGoals, GoalRequest
+from midstride.node.request_admission import PassableRequest, RequestAdmission
 
-# The identity of a request to cancel goals that names none; and what stands for several goals.
+# The identity of a request to cancel goals that names none.
 NO_GOAL: Final = bytes(16).hex()
-MANY: Final = ""
 
 
 class AdmittingNode(Node):  # type: ignore[misc]
@@ -115,103 +116,86 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
 
 def guard_action(server: Any, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]) -> None:
     """Have rclpy's action ``server`` handle the requests that ``admission`` admits, and those about its own goals."""
-    goals = admission.goals
     execute = server.execute
-
-    async def dispatch(kind: str, entry: Any) -> None:
-        """Handle ``entry``, or hold it: then it comes here again."""
-        if kind == "expired":  # goals of this server: that is no request
-            await execute({kind: entry})
-            for info in entry:
-                goals.expired(_uuid(info.goal_id))
-            return
-        header, request = entry
-        if kind == "goal":
-            goal = _uuid(request.goal_id)
-            identity = f"goal {goal} {header.sequence_number}"
-            accept_it, timed = partial(accept, identity, goal, entry), getattr(server, "timed_as", "")
-            if admission.admit(identity, lambda: later(accept_it), asks_for=goal, service=timed):
-                await accept(identity, goal, entry)
-            return
-        if kind == "result":
-            goal = _uuid(request.goal_id)
-            identity = f"result {goal} {header.sequence_number}"
-        else:
-            goal, stamp = _uuid(request.goal_info.goal_id), request.goal_info.stamp
-            identity = f"cancel {goal} {stamp.sec}.{stamp.nanosec} {header.sequence_number}"
-            if goal == NO_GOAL or stamp.sec or stamp.nanosec:
-                goal = MANY
-        match admission.turn(identity, goal, lambda: later(partial(dispatch, kind, entry))):
-            case Turn.WAIT:
-                return
-            case Turn.ADD:
-                await cancel(request, lambda response: goals.add_list(identity, serialize_message(response)))
-            case Turn.ANSWER if kind == "result":
-                await give_result(identity, goal, entry)
-            case Turn.ANSWER if goal == MANY and admission.predecessor_has_goals:
-                answer = partial(answer_cancel, identity, header, request)
-                goals.await_list(identity, lambda added: later(partial(answer, added)))
-            case Turn.ANSWER:
-                await answer_cancel(identity, header, request, None)
-
-    async def accept(identity: str, goal: str, entry: Any) -> None:
-        try:
-            await execute({"goal": entry})
-            result = server._result_futures.get(bytes.fromhex(goal))
-            if result is not None and goals.accepted(goal, cancel_all):
-                result.add_done_callback(partial(ended, goal))
-        finally:
-            admission.finished(identity)
-
-    def ended(goal: str, result: Any) -> None:
-        if (response := result.result()) is not None:
-            cancelled = response.status == GoalStatus.STATUS_CANCELED
-            goals.ended(goal, lambda: serialize_message(response), cancelled=cancelled)
-
-    async def give_result(identity: str, goal: str, entry: Any) -> None:
-        header, _ = entry
-        try:
-            result = server._result_futures.get(bytes.fromhex(goal))
-            if result is not None:
-                goals.fetched(goal)
-                await execute({"result": entry})
-            elif (kept := goals.kept(goal)) is not None:
-                server._handle.send_result_response(
-                    header, deserialize_message(kept, server.action_type.Impl.GetResultService.Response)
-                )
-            else:
-                goals.not_known()
-                await execute({"result": entry})
-        finally:
-            admission.finished(identity)
-
-    async def answer_cancel(identity: str, header: Any, request: Any, added: bytes | None) -> None:
-        """Cancel goals, and respond also with those that the other instance has cancelled (``added``)."""
-
-        def respond(response: Any) -> None:
-            if added is not None:
-                _add(response, deserialize_message(added, CancelGoal.Response))
-            if response.return_code == CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID:
-                goals.not_known()
-            server._handle.send_cancel_response(header, response)
-
-        try:
-            await cancel(request, respond)
-        finally:
-            admission.finished(identity)
-
-    async def cancel(request: Any, respond: Callable[[Any], object]) -> None:
-        """Do what rclpy does with a request to cancel goals, and call ``respond`` instead of sending the response."""
-        await type(server)._execute_cancel_request(_Cancelling(server, respond), (None, request))
-
-    def cancel_all() -> None:
-        later(partial(cancel, CancelGoal.Request(), lambda response: None))
+    goals = AdmittedGoals(_RosGoals(server, execute), admission, later)
 
     async def execute_admitted(taken: dict[str, Any]) -> None:
         for kind, entry in taken.items():
-            await dispatch(kind, entry)
+            if kind != "expired":
+                await goals.handle(_goal_request(kind, entry))
+                continue
+            await execute({kind: entry})  # goals of this server: that is no request
+            for info in entry:
+                admission.goals.expired(_uuid(info.goal_id))
 
     server.execute = execute_admitted
+
+
+def _goal_request(kind: str, entry: Any) -> GoalRequest:
+    header, request = entry
+    match kind:
+        case "goal":
+            goal = _uuid(request.goal_id)
+            return GoalRequest("goal", f"goal {goal} {header.sequence_number}", goal, entry)
+        case "result":
+            goal = _uuid(request.goal_id)
+            return GoalRequest("result", f"result {goal} {header.sequence_number}", goal, entry)
+    goal, stamp = _uuid(request.goal_info.goal_id), request.goal_info.stamp
+    identity = f"cancel {goal} {stamp.sec}.{stamp.nanosec} {header.sequence_number}"
+    many = goal == NO_GOAL or stamp.sec or stamp.nanosec
+    return GoalRequest("cancel", identity, MANY if many else goal, entry)
+
+
+@dataclass(frozen=True)
+class _RosGoals:
+    """The goals of rclpy's action ``server``; ``execute`` is its own method. Implements GoalServer."""
+
+    server: Any
+    execute: Callable[[dict[str, Any]], Awaitable[None]]
+
+    def _result(self, goal: str) -> Any:
+        return self.server._result_futures.get(bytes.fromhex(goal))
+
+    @property
+    def timed_as(self) -> str:
+        return str(getattr(self.server, "timed_as", ""))
+
+    async def accept(self, entry: Any) -> None:
+        await self.execute({"goal": entry})
+
+    def knows(self, goal: str) -> bool:
+        return self._result(goal) is not None
+
+    def when_ended(self, goal: str, function: Callable[[Any], object]) -> None:
+        def done(future: Any) -> None:
+            if (response := future.result()) is not None:
+                function(response)
+
+        self._result(goal).add_done_callback(done)
+
+    async def give_result(self, entry: Any) -> None:
+        await self.execute({"result": entry})
+
+    def give_kept(self, entry: Any, response: bytes) -> None:
+        types = self.server.action_type.Impl.GetResultService
+        self.server._handle.send_result_response(entry[0], deserialize_message(response, types.Response))
+
+    async def cancel(self, entry: Any, respond: Callable[[Any], object]) -> None:
+        """Do what rclpy does with a request to cancel goals, and call ``respond`` instead of sending the response."""
+        request = CancelGoal.Request() if entry is None else entry[1]
+        await type(self.server)._execute_cancel_request(_Cancelling(self.server, respond), (None, request))
+
+    def give_cancelled(self, entry: Any, response: Any, added: bytes | None) -> bool:
+        if added is not None:
+            _add(response, deserialize_message(added, CancelGoal.Response))
+        self.server._handle.send_cancel_response(entry[0], response)
+        return bool(response.return_code != CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID)
+
+    def is_cancelled(self, response: Any) -> bool:
+        return bool(response.status == GoalStatus.STATUS_CANCELED)
+
+    def serialized(self, response: Any) -> bytes:
+        return bytes(serialize_message(response))
 
 
 def _uuid(goal_id: Any) -> str:
