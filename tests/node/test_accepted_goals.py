@@ -76,8 +76,9 @@ class Instance:
         if self.admission.turn(request, goal, partial(self.asks, request, goal)) is not Turn.ANSWER:
             return
         goals = self.admission.goals
-        if not goals.has(goal):
+        if goal not in goals._own:
             kept = goals.kept(goal)
+            goals.fetched(goal)
             self._answer(request, "unknown" if kept is None else kept.decode())
         else:
             goals.fetched(goal)
@@ -141,6 +142,29 @@ def with_two(scenario: Callable[[Instance, Instance], Coroutine[Any, Any, None]]
     async def main() -> None:
         role: dict[str, Instance] = {}
         await scenario(Instance("old", role, is_open=True), Instance("new", role, is_open=False))
+
+    run(main())
+
+
+def test_what_a_predecessor_has_left_is_answered_where_it_is_kept_and_then_left_again() -> None:
+    """Three instances, one after the other: of two results, one is fetched of the second while the third answers."""
+
+    async def main() -> None:
+        role: dict[str, Instance] = {}
+        first, second = Instance("first", role, is_open=True), Instance("second", role, is_open=False)
+        for goal in ("fetched", "left"):
+            first.receives_goal(goal)
+            first.ends(goal)
+        await second.replaces(first)
+        assert await first.finishes() is None
+        third = Instance("third", role, is_open=False)
+        await third.replaces(second)
+        for each in (second, third):
+            each.asks("1", "fetched")
+        assert (second.answers, third.answers) == ({"1": ["result by first"]}, {})
+        assert await second.finishes() is None
+        third.asks("2", "left")
+        assert third.answers == {"2": ["result by first"]}
 
     run(main())
 

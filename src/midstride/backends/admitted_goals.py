@@ -121,6 +121,7 @@ class AdmittedGoals:
                 goals.fetched(goal)
                 await self.server.give_result(request.entry)
             elif (kept := goals.kept(goal)) is not None:
+                goals.fetched(goal)
                 self.server.give_kept(request.entry, kept)
             else:
                 goals.not_known()

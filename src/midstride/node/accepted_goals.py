@@ -45,6 +45,7 @@ class Goals:
         self._lock = threading.Lock()
         self._own: dict[str, _Goal] = {}
         self._kept: dict[str, bytes] = {}
+        self._fetched: set[str] = set()  # of those kept, the ones that a client has now
         self._handed_over = False
         self._given: frozenset[str] = frozenset()
         self._accepted = self._ended = self._cancelled = self._unknown = 0
@@ -77,6 +78,8 @@ class Goals:
         with self._lock:
             if (found := self._own.get(goal)) is not None:
                 found.fetched = True
+            elif goal in self._kept:
+                self._fetched.add(goal)
 
     def expired(self, goal: str) -> None:
         """Note that ROS has discarded the result of ``goal``."""
@@ -108,10 +111,11 @@ class Goals:
     def give(self, asked: Iterable[str]) -> list[str]:
         """Return the goals that stay here while another instance answers, with those that are ``asked`` for just now.
 
-        That instance leaves to this one what is asked about them, also where ROS has discarded them meanwhile.
+        Those of predecessors whose results are kept here are among them. That instance leaves to this one what is asked
+        about them, also where ROS has discarded them meanwhile.
         """
         with self._lock:
-            self._given = frozenset() if self._handed_over else frozenset((*self._own, *asked))
+            self._given = frozenset() if self._handed_over else frozenset((*self._own, *self._kept, *asked))
             return sorted(self._given)
 
     @property
@@ -136,7 +140,8 @@ class Goals:
         with self._lock:
             self._handed_over = True
             left = {id: goal.result for id, goal in self._own.items() if goal.result is not None and not goal.fetched}
-            return {**self._kept, **{goal: result() for goal, result in left.items()}}
+            kept = {id: result for id, result in self._kept.items() if id not in self._fetched}
+            return {**kept, **{goal: result() for goal, result in left.items()}}
 
     @property
     def handed_over(self) -> bool:

@@ -63,6 +63,8 @@ class Invariants:
     _free: dict[FunctionalityRef, float] = field(default_factory=dict)
     # Since when the mode of each assumes clients whose servers are gone (s).
     _serverless: dict[FunctionalityRef, float] = field(default_factory=dict)
+    # Since when each functionality has been in its mode, and for how long it had been in the one before (steady s, s).
+    entered: dict[FunctionalityRef, tuple[float, float]] = field(default_factory=dict)
     # What is shown has changed, or an assumption is broken.
     due: bool = False
     _changed: bool = False
@@ -116,10 +118,19 @@ class Invariants:
             if link.gate != "closed"
         )
         shown = Shown(process.instance, process.key, process.component, modes, links)
-        if self._shown.get(process.instance) != shown:
+        before = self._shown.get(process.instance)
+        if before != shown:
+            self._note_modes(shown, dict(before.modes) if before is not None else {})
             self._shown[process.instance] = shown
             self.due = self._changed = True
         self._check_gates(process)
+
+    def _note_modes(self, shown: Shown, before: dict[str, str]) -> None:
+        now = self.platform.time.steady()
+        for name, mode in shown.modes:
+            if before.get(name) != mode:
+                ref = FunctionalityRef(shown.instance, name)
+                self.entered[ref] = now, now - self.entered[ref][0] if name in before else 0.0
 
     def _check_gates(self, process: StandIn) -> None:
         """Of two instances of one role, not both publish whatever they write: a cut decides for one at least.

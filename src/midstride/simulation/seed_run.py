@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from midstride.errors import MidstrideError
 from midstride.model.specification import HANDOVER_SECONDS
+from midstride.node.author.service_ports import OVERDUE
 from midstride.node.control.component_agent import HEARTBEAT
 from midstride.plan.forms.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.plan.request import PlanRequest
@@ -21,6 +22,7 @@ from midstride.simulation.convergence import closed_outputs, differences, left_a
 from midstride.simulation.faults import DEAFENING, HARMLESS, LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
 from midstride.simulation.invariants import RESUMED
 from midstride.simulation.killable_manager import Life, ManagerKilled
+from midstride.simulation.request_invariants import NOTICED
 from midstride.simulation.scenario import Scenario
 from midstride.simulation.stand_in import StandIn
 from midstride.simulation.system import System
@@ -119,6 +121,7 @@ class Simulation:
         self._superseded: _Superseded | None = None
         self._busy = False
         self._faulty = False
+        self._calm_since = 0.0  # when the faults were off
         self._problems: list[str] = []
         self._timeline: list[str] = []
         self._outcomes: list[str] = []
@@ -156,7 +159,7 @@ class Simulation:
         for request in self._scenario.changes:
             await self._change(request)
         self._note("faults", "off")
-        self._waiting, self._faulty = [], False
+        self._waiting, self._faulty, self._calm_since = [], False, self._platform.time.steady()
         self._disk.full, self._disk.kill_at = False, None
         self._platform.heal()
         if self._superseded is not None:
@@ -243,7 +246,8 @@ class Simulation:
                 because = "the manager is dead" if outcome is None else outcome.because
                 self._violated(f"without faults, `{request.describe()}` is not done: {because}")
                 return
-            if not manager.system.crashes:  # a change leaves those of the others as they are
+            # A change leaves the crashes of others as they are, and comes too early for what notices losses later.
+            if not manager.system.crashes and not self._notices_late():
                 break
         await asyncio.sleep(SETTLING)
         for problem in differences(manager, self._platform, self._system.saved()):
@@ -254,6 +258,20 @@ class Simulation:
         for problem in uncaught(self._loop.errors):
             self._violated(problem)
         self._system.specification = manager.specification
+
+    def _notices_late(self) -> bool:
+        """Return whether a functionality has noticed only now that a request of its mode was lost while faults struck.
+
+        A request of the mode before is no reason: it must have been in its mode for as long as a client waits.
+        """
+        process_of = self._platform.standing
+        for ref, (left_at, was_in) in self._system.invariants.entered.items():
+            process = process_of(ref.instance)
+            bounds = [port.within for port in process.clients if port.within is not None] if process is not None else []
+            waits = max(bounds, default=-math.inf) + OVERDUE
+            if was_in > waits > 0 and self._calm_since < left_at < self._calm_since + waits + NOTICED:
+                return True
+        return False
 
     def _again(self, manager: Manager) -> PlanRequest:
         """The request of a user now: the last change again if it was not done, else what is missing."""

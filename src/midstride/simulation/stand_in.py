@@ -210,6 +210,10 @@ class StandIn(ThreadlessProcess):
         """True while it runs, and answers requests."""
         return not self.dead and self.admission is not None and self.admission.is_open
 
+    @property
+    def clients(self) -> tuple[ClientPort, ...]:
+        return self._stand_in.clients
+
     def has_goal(self, goal: str) -> bool:
         """Return whether it says that it answers what is asked about ``goal``."""
         return self.admission is not None and self.admission.goals.has(goal)
