@@ -155,6 +155,7 @@ function addPort(entry, port, topic, view) {
     age: null,
     jitter: null,
     longest: null,
+    kept_out: false,
   });
 }
 
