@@ -82,10 +82,10 @@ def stateful_talkers(folder: Path) -> Specification:
     return changed(specification, components=components)
 
 
-async def last_said(simulator: Simulator, listener: str = "listener") -> str:
-    """What is said on the talker's topic a second later."""
+async def last_said(simulator: Simulator, topic: str = "/chatter") -> str:
+    """What is said on ``topic``, by default the talker's, a second later."""
     reader = simulator.network.create_reader(
-        simulator.processes[listener], "/chatter", "std_msgs/msg/String", DEFAULT_QOS, lambda: None
+        simulator.processes["listener"], topic, "std_msgs/msg/String", DEFAULT_QOS, lambda: None
     )
     await asyncio.sleep(1)
     said: str = reader.queue[-1][0].data

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.lang.load import load_text
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -260,21 +261,24 @@ def test_a_process_imports_once_what_takes_longer_than_its_manager_lives(later: 
 @EVERY
 @pytest.mark.parametrize("strategy", ["paper", "quiesce"])
 def test_state_outlasts_the_manager_where_more_is_replaced(strategy: Any, every: int, tmp_path: Path) -> None:
-    """The topic has been taken from the talker, and the listener still is as it was."""
-    specification, taken_up = stateful_talkers(tmp_path), set[str]()
-    listener = changed(specification.components["Listener"], name="NewListener")
-    specification = changed(specification, components=specification.components.set("NewListener", listener))
-    request = PlanRequest(replace=(("talker", "NewTalker"), ("listener", "NewListener")), strategy=strategy)
+    """The topic has been taken from one of two talkers, and the other one still is as it was."""
+    text = (EXAMPLES / "talker" / "talker.stride").read_text()
+    text = text.replace("topic /chatter : Text", "topic /chatter : Text\ntopic /other : Text")
+    two = load_text(f"{text}\nnode second : Talker {{ out -> /other }}\n").require()
+    specification, taken_up = changed(two, components=stateful_talkers(tmp_path).components), set[str]()
+    request = PlanRequest(replace=(("talker", "NewTalker"), ("second", "NewTalker")), strategy=strategy)
 
     async def before(simulator: Simulator) -> None:
-        program: Any = simulator.processes["talker"]._program
-        program._main.__dict__["state"] = "what it has learned"
+        for name in ("talker", "second"):
+            program: Any = simulator.processes[name]._program
+            program._main.__dict__["state"] = "what it has learned"
 
     async def nothing(_: Simulator) -> None:
         pass
 
-    async def after(manager: Manager, simulator: Simulator) -> None:
-        taken_up.add(await last_said(simulator, next(iter(manager.configuration.instances_of("listener"))).name))
+    async def after(_: Manager, simulator: Simulator) -> None:
+        taken_up.add(await last_said(simulator))
+        taken_up.add(await last_said(simulator, "/other"))
 
     def work(folder: Path, disk: MortalDisk, number: int) -> bool:
         return killed_at(specification, folder, request, disk, number, before, nothing, after, finish=True)
