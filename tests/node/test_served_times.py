@@ -175,6 +175,26 @@ def test_in_simulated_time_nothing_is_late_while_the_clock_stands_still() -> Non
     in_a_loop(check)
 
 
+def test_in_simulated_time_a_data_thread_may_wait_for_the_clock() -> None:
+    """As in a function that sleeps by it, while it stands still."""
+
+    def check() -> None:
+        served = Served()
+        served.host.simulated_time = True
+        served.seen(0)
+        served.host.ros = 50
+        served.seen(50)
+        served.host.busy = True
+        served.seen(51)
+        assert served.broken(100) is None
+        served.host.ros = 55.1
+        assert served.broken(200) == "has not waited for requests"
+        served.host.free()
+        assert served.broken(201) is None
+
+    in_a_loop(check)
+
+
 def test_nothing_is_reported_without_a_bound_or_in_a_mode_that_does_not_serve() -> None:
     def check() -> None:
         assert Served(within=None).seen(1) is None

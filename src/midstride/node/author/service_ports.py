@@ -93,25 +93,28 @@ class ServerLink(OutputLink):
     ``watch``: whether it answers within the bound that the program states; None where that states none.
     """
 
-    __slots__ = ("_answers", "_times", "service", "watch")
+    __slots__ = ("_answers", "_free_at", "_times", "service", "watch")
 
     def __init__(self, server: ServerPort, topic: str, host: Host) -> None:
         self.service = _ServerEndpoint(lambda: server.make(host, topic))
         super().__init__(server, topic, self.service, MessageTimes(host.now))
         self._answers = host.admission
         self._times: ServedTimes | None = None
+        self._free_at = 0  # when the data thread was known to be free last, by the clock of the times
         self.watch: ResponseWatch | None = None
         if server.within is not None:
             clock = SlowerClock(host.steady, host.now, lambda: host.simulated_time)
             self._times = self._answers.timed[topic] = ServedTimes(clock)
+            self._free_at = clock()
             self.watch = ResponseWatch(server.within)
 
-    def look(self, beat: int, busy_for: int) -> None:
-        """See how it answers. ``busy_for``: for how long the data thread has not been free (ns), 0 where it is."""
+    def look(self, beat: int, *, free: bool) -> None:
+        """See how it answers. ``free``: the data thread has been free since the last look."""
         if self.watch is None or self._times is None:
             return
         now = self._times.clock()
-        self._times.busy = max(1, now - busy_for) if busy_for else 0
+        self._free_at = now if free else self._free_at
+        self._times.busy = 0 if free else self._free_at
         self.watch.look(self._times if self.is_live else None, (0, 0), beat, now)
 
     def destroy(self) -> None:
@@ -147,9 +150,8 @@ class ServerPort(Output):
         # Whether the mode of its functionality serves.
         self.serving = False
         self._beat = 0  # how often it was looked
-        # Runs on the data thread as soon as that is free, and since when that was waited for (steady ns).
+        # Runs on the data thread as soon as that is free.
         self._probe: asyncio.Future[None] | None = None
-        self._probed = 0
         # Calls the function, once the component runs: the functionality degrades where it raises.
         self.call: Callable[[ServerPort, Any, Any], Any] = lambda server, request, response: None
 
@@ -209,14 +211,13 @@ class ServerPort(Output):
         """Look whether it answers within its bound. Control thread."""
         if self.within is None or not self.links:
             return
-        now = host.steady()
-        if self._probe is None or self._probe.done():
-            self._probed = now
+        free = self._probe is None or self._probe.done()
+        if free:
             self._probe = asyncio.ensure_future(host.on_data(lambda: None))
         self._beat += 1
         for link in self.links:
             if isinstance(link, ServerLink):
-                link.look(self._beat, now - self._probed)
+                link.look(self._beat, free=free)
 
     def states(self) -> dict[str, LinkState]:
         return {
