@@ -182,7 +182,7 @@ def test_where_the_manager_does_not_notice_the_successor_is_active_before_the_ol
     async def body(manager: Manager, simulator: ManagedRos) -> None:
         plan = PlanPreview.of(await manager.plan(RESTART)).continuity
         assert plan and plan.verdict == "not_measurable"
-        assert "its lifecycle services, which /manager calls" in plan.headline
+        assert "its lifecycle services (called by /manager)" in plan.headline
         outcome = await manager.change(RESTART)
         assert (outcome.outcome, outcome.because) == ("done", None)
         assert simulator.events == ["planner_2 configure", "planner_2 activate", "planner ended"]

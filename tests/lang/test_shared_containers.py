@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from midstride.codec.configuration_form import InstanceForm
 from midstride.codec.specification_form import decode_specification, encode_specification
+from midstride.errors import PlanRefused
 from midstride.lang import format_text
 from midstride.lang.load import load
 from midstride.model.component import ContainerProgram, SharedContainer
@@ -103,6 +106,21 @@ def test_what_cannot_be_is_refused(
 ) -> None:
     found = errors(tmp_path, *edits)
     assert any(each == code and message in said and help in hint for each, said, hint in found), found
+
+
+@pytest.mark.parametrize(
+    ("request_", "refused"),
+    [
+        (PlanRequest(restart=("front/pipelin",)), "there is no node or container `front/pipelin`; did you mean"),
+        (PlanRequest(remove=("front/pipelin",)), "there is no node or container `front/pipelin`; did you mean"),
+        (PlanRequest(restart=("spare",)), "container spare has no node; `in spare` puts one into it"),
+    ],
+)
+def test_a_container_that_is_not_known_or_empty_is_refused(tmp_path: Path, request_: PlanRequest, refused: str) -> None:
+    specification = read(tmp_path)
+    containers = specification.containers.set("spare", specification.containers["front/pipeline"])
+    with pytest.raises(PlanRefused, match=re.escape(refused)):
+        request_.for_members(replace(specification, containers=containers))
 
 
 # -- in which process each new instance is ---------------------------------------------------------------------

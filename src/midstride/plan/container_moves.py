@@ -36,5 +36,7 @@ def in_words(change: Change) -> Iterator[str]:
 
 def _staying(change: Change, instance: Instance) -> list[str]:
     """The other instances of its process that the change leaves there."""
-    others = (each for each in change.start.instances.values() if instance.process and each.process == instance.process)
+    if not instance.process:
+        return []
+    others = (each for each in change.start.instances.values() if each.process == instance.process)
     return sorted(each.name for each in others if each.name not in change.leaving)

@@ -99,11 +99,22 @@ class PlanRequest:
         return target
 
     def for_members(self, specification: Specification) -> PlanRequest:
-        """The request with the nodes of each container that it names to restart or to remove, instead of its name."""
+        """The request with the nodes of each container that it names to restart or to remove, instead of its name.
+
+        Raises PlanRefused where a container has none, and where a name is that of neither.
+        """
+
+        def members(name: str) -> list[str]:
+            if name not in specification.containers:
+                if specification.containers:
+                    require("node or container", name, {*specification.nodes, *specification.containers})
+                return [name]
+            if not (found := specification.members_of(name)):
+                raise PlanRefused(f"container {name} has no node; `in {name}` puts one into it")
+            return found
 
         def named(names: tuple[str, ...]) -> tuple[str, ...]:
-            found = [specification.members_of(name) if name in specification.containers else [name] for name in names]
-            return tuple(role for roles in found for role in roles)
+            return tuple(role for name in names for role in members(name))
 
         return replace(self, restart=named(self.restart), remove=named(self.remove))
 
