@@ -189,7 +189,7 @@ def test_who_calls_the_lifecycle_services_of_what_ends_is_named() -> None:
     state = bare_state("mapper", node="/mapper", lifecycle_callers=["/one", "/two"])
     component = ComponentSpec.of("Mapper", run="mapper", gate="lifecycle preload")
     (found,) = what_ended("mapper", component, LastKnown(LatestState(state, 0.0), ()), planned=True)
-    assert "its lifecycle services (called by /one and /two) end with mapper" in found.words
+    assert "each of its lifecycle services (called by /one and /two) ends with mapper" in found.words
 
 
 def test_what_the_plan_has_started_itself_was_not_managed_by_another_one() -> None:

@@ -158,7 +158,7 @@ def what_ended(
             yield verdicts.goals_go_on(name, actions, component.stop_times.patience)
         ending = [each.words for each in state.serves if each.words not in goes_on]
         if state.lifecycle_callers:
-            ending.append(f"its lifecycle services (called by {verdicts.listed(state.lifecycle_callers)})")
+            ending.append(f"each of its lifecycle services (called by {verdicts.listed(state.lifecycle_callers)})")
         if ending:
             yield verdicts.ends_with(name, ending, planned=planned)
         if goes_on and beside is not None and beside.name != component.name:
