@@ -30,7 +30,7 @@ class SharedProcess:
         """Raises StartFailed where the file has changed since the process began, which may have loaded the old one."""
         begun = time.time() - time.clock_gettime(time.CLOCK_BOOTTIME) + self.process.started
         try:
-            changed = library.stat().st_mtime
+            changed = library.stat().st_ctime  # files of a package keep the times at which they were made
         except OSError:
             return
         if changed > begun:
