@@ -99,10 +99,37 @@ def test_they_share_their_containers_as_in_the_launch_file(tmp_path: Path) -> No
     assert [each.message for each in found.findings if each.kind in ("composable", "unsupported")] == [
         "`front/camera`, `front/rectify` had intra-process communication: what they exchange is serialized now, and "
         "passes through the middleware",
-        "the environment and the prefix of the container `front/pipeline` are left out",
+        "the environment of the container `front/pipeline` is left out",
         "the container `elsewhere/box` is started elsewhere; here it is `component_container`, with what is named for "
         "it alone",
     ]
+
+
+def test_they_have_the_times_to_end_of_their_container(tmp_path: Path) -> None:
+    body = """
+<node_container pkg="rclcpp_components" exec="component_container" name="box" namespace="" sigterm_timeout="7"
+                launch-prefix="nice">
+  <composable_node pkg="cameras" plugin="cameras::Camera" name="camera"/>
+</node_container>"""
+    found = imported(tmp_path, body, "keep")
+    (said,) = (each.message for each in found.findings if each.kind == "unsupported")
+    assert said == "the prefix of the container `box` is left out"
+    (tmp_path / "apart").mkdir()
+    apart = components(imported(tmp_path / "apart", body, "split"), tmp_path / "apart")["camera"]
+    assert components(found, tmp_path)["camera"].stop == apart.stop != ComponentSpec.of("Camera").stop
+
+
+def test_two_containers_never_get_one_name(tmp_path: Path) -> None:
+    body = "".join(
+        f"""
+<node_container pkg="rclcpp_components" exec="component_container{kind}" name="{name}" namespace="">
+  <composable_node pkg="cameras" plugin="cameras::{node}" name="{node}"/>
+</node_container>"""
+        for kind, name, node in (("", "camera", "camera"), ("_mt", "camera_container", "other"))
+    )
+    system = specification(imported(tmp_path, body, "keep"), tmp_path)
+    programs = {role: system.containers[node.container].run for role, node in system.nodes.items() if node.container}
+    assert programs == {"camera": "component_container", "other": "component_container_mt"}
 
 
 def test_a_container_has_no_name_of_a_node_and_any_other_word_for_one(tmp_path: Path) -> None:

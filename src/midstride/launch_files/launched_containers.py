@@ -34,15 +34,16 @@ def keep_containers(system: LaunchedSystem, findings: ImportFindings) -> None:
         span = (container or loaded[0].node).span
         if container is not None:
             system.nodes.remove(container)
-        if any(node.role == name for node in (*system.nodes, *(each.node for each in system.loaded))):
+        roles = {node.role for node in (*system.nodes, *(each.node for each in system.loaded))}
+        while name in roles or name in system.containers:
             name = f"{name}_container"
         system.containers[name] = _program(container, f"the container `{name}`", span, findings)
         system.nodes += [_shared(each, container, name) for each in loaded]
         for message in _kept_in_words(name, container, loaded):
             findings.add("composable", message, span, left_out=False)
-        if container is not None and (container.environment or container.prefix):
-            message = f"the environment and the prefix of the container `{name}` are left out"
-            findings.add("unsupported", message, span)
+        if container is not None and (words := _started_otherwise(container)):
+            verb = "is" if len(words) == 1 else "are"
+            findings.add("unsupported", f"{' and '.join(words)} of the container `{name}` {verb} left out", span)
 
 
 def _shared(loaded: LoadedNode, container: LaunchedNode | None, name: str) -> LaunchedNode:
@@ -54,9 +55,16 @@ def _shared(loaded: LoadedNode, container: LaunchedNode | None, name: str) -> La
         node,
         settings=(*_of_further_nodes(node, container), *node.settings),
         respawn=container.respawn,
+        stop=container.stop,
         later=node.later or container.later,
         at=max(node.at, container.at),
     )
+
+
+def _started_otherwise(container: LaunchedNode) -> list[str]:
+    """The details of the process of a container that the language cannot state, in words."""
+    found = {"the environment": container.environment, "the prefix": container.prefix}
+    return [words for words, stated in found.items() if stated]
 
 
 def _serialized(node: LaunchedNode) -> tuple[str, ...]:
