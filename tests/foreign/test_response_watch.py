@@ -266,6 +266,10 @@ def test_capture_reads_how_long_each_took(
             served.does(f"answer {number}")
         seen.look()
         assert len(took) == 2 + LATEST
+        served.port.answered = 0
+        lab.page.layout.nodes[served.port.node - 1].pid += 1
+        seen.look()
+        assert len(took) == 2 + LATEST, "the part of a node that has ended was given to another"
 
 
 # -- what clients do about it ---------------------------------------------------------------------------------------

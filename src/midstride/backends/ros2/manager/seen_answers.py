@@ -25,6 +25,7 @@ class SeenAnswers:
             for path in sorted(folder.glob("*.json"))
             if (record := ForeignRecord.read(folder, path.stem)) is not None and record.index is not None
         }
+        self._processes: dict[int, int] = {}  # by the index of a node: the process in which it was seen first
         self._known: dict[tuple[str, str], int] = {}  # how many it had answered at the last look
         # By the full names of a node and of its service or ROS action: how long each response took (s).
         self.took: dict[tuple[str, str], list[float]] = {}
@@ -33,7 +34,7 @@ class SeenAnswers:
         """See what was answered since the last look; of more responses than the page has, the last ones."""
         for port in self._page.every_port():
             node = self._nodes.get(port.node - 1)
-            if port.kind != SERVER or node is None or self._page.is_dead(port.node - 1):
+            if port.kind != SERVER or node is None or not self._is_same(port.node - 1):
                 continue
             key = node, port.topic.decode().removesuffix(SEND_GOAL)
             answered, kept = int(port.answered), len(port.took)
@@ -41,3 +42,8 @@ class SeenAnswers:
             self._known[key] = answered
             found = self.took.setdefault(key, [])
             found += [port.took[number % kept] / 1e6 for number in range(answered - min(new, kept), answered)]
+
+    def _is_same(self, index: int) -> bool:
+        """Return whether a node of the page is still the one that was seen first: its part may be given to another."""
+        process = int(self._page.layout.nodes[index].pid)
+        return process != 0 and self._processes.setdefault(index, process) == process and not self._page.is_dead(index)
