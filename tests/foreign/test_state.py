@@ -222,7 +222,7 @@ def test_a_node_is_asked_once_to_import_one_state(between: Callable[[Body], None
             await imports("b")
         node.hangs.clear()
         await next_manager()
-        with pytest.raises(CommandRefused, match="before the last manager ended, and may have; it is not asked again"):
+        with pytest.raises(CommandRefused, match="may have imported it, so it is not asked again"):
             await imports("b")
         assert imported() == 1
         await imports("c")

@@ -96,7 +96,8 @@ class ForeignState:
         if exporter and exporter == node.record.importing:
             name = node.record.instance
             raise CommandRefused(
-                f"{name} was asked to before the last manager ended, and may have; it is not asked again"
+                f"{name} was asked to import this state before, and has not answered; it may have imported it, so it "
+                "is not asked again"
             )
         node.change_record(importing=exporter)
         try:
