@@ -406,7 +406,8 @@ class Ros2Backend(ProcessBackend, Backend):
 
     async def _unload(self, shared: SharedProcess, instance: str, longest: float) -> None:
         """End one of several instances of a process, which goes on. Raises BackendError where that is not possible."""
-        node = self._foreign_nodes.node_of(instance) or full_name(instance)
+        record = self._foreign_nodes.record_of(instance)  # also of one that nothing answers for yet
+        node = full_name(instance) if record is None else record.node
         shared.members.discard(instance)
         services = ContainerServices(self._node, full_name(shared.name))
         try:
