@@ -39,6 +39,8 @@ int main(int count, char **arguments)
   return 0;
 }
 """
+# Has a thread start the command that follows.
+BY_A_THREAD = "import subprocess, sys, threading; threading.Thread(target=subprocess.run, args=(sys.argv[1:],)).start()"
 NOBODY = 65534
 CAP_SYS_NICE = 1 << 23
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="owners of files can be changed by root only")
@@ -245,6 +247,7 @@ def test_a_running_process_shows_why_it_is_not_seen(compiled: Callable[..., Path
     for command, expected in (
         ([program], "got privileges at its start, so the loader has ignored `LD_PRELOAD`"),
         (["sh", "-c", f"{program} {gate.name} wait; true"], "got privileges at its start"),
+        ([sys.executable, "-c", BY_A_THREAD, program], "got privileges at its start"),
         ([compiled("static", "-static")], "is statically linked"),
         ([compiled("plain")], None),
     ):

@@ -141,9 +141,10 @@ def why_unseen(pid: int) -> Unseen | None:
 def _family(pid: int) -> Iterator[int]:
     """The process ``pid`` and those below it."""
     yield pid
-    with suppress(OSError):
-        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-            yield from _family(int(child))
+    for children in Path(f"/proc/{pid}/task").glob("*/children"):  # of each of its threads
+        with suppress(OSError):
+            for child in children.read_text().split():
+                yield from _family(int(child))
 
 
 def _has_privileges(pid: int) -> bool | None:
