@@ -9,8 +9,10 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from immutables import Map
 
 from midstride.backends.simulator import Simulator
+from midstride.model.component import DEFAULT_CONTAINER
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.rules import violations
 from midstride.model.specification import Node, Specification
@@ -116,6 +118,33 @@ def test_a_node_that_crashes_again_and_again_is_not_well_when_it_happens_to_run(
         assert (await manager.status()).condition.state == "up"
 
     run(body, tmp_path, respawning(RespawnPolicy()))
+
+
+def test_a_node_that_cannot_start_keeps_the_others_of_its_container_away_for_one_restart_only(tmp_path: Path) -> None:
+    program = tmp_path / "talker.py"
+    specification = programmed(example("talker"), "Talker", program)
+    specification = changed(specification, containers=Map(pipeline=DEFAULT_CONTAINER))
+    for role in ("talker", "listener"):
+        node = changed(specification.nodes[role], respawn=RespawnPolicy(), container="pipeline")
+        specification = specification.with_node(node)
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        program.write_text("raise SystemExit(3)")
+        begun = simulator.time.steady()
+        simulator.faults.kill("talker")
+        simulator.faults.kill("listener")
+        await until(lambda: not manager.configuration.instances)
+        await until(lambda: "listener" in manager.configuration.instances)
+        assert simulator.time.steady() - begun < 5
+        first = words(manager, "outcome")[1]
+        assert first.startswith("rolled_back: create talker"), "both were restarted together first"
+        await asyncio.sleep(150)
+        assert sorted(simulator.processes) == ["listener"]
+        assert words(manager, "command").count("respawn listener") == 1
+        [ended] = words(manager, "respawn_ended")
+        assert "talker will not be restarted again" in ended
+
+    run(body, tmp_path, specification)
 
 
 def test_each_restart_waits_twice_as_long_as_the_one_before_until_none_is_left(tmp_path: Path) -> None:

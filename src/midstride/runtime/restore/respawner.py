@@ -36,7 +36,8 @@ class _Record:
     """The crashes of one role, as far as they are known.
 
     ``crashes``: what has been decided on. ``due``: when the next restart begins (steady s); ``carrying_out``: its plan
-    has begun; ``falls_back``: it is one as another component; ``left``: why there is no next one.
+    has begun; ``falls_back``: it is one as another component; ``by_itself``: one with the others of its container has
+    failed; ``left``: why there is no next one.
     """
 
     attempts: Attempts = field(default_factory=Attempts)
@@ -44,6 +45,7 @@ class _Record:
     due: float | None = None
     carrying_out: bool = False
     falls_back: bool = False
+    by_itself: bool = False
     left: str | None = None
     task: asyncio.Task[None] | None = None
 
@@ -179,7 +181,7 @@ class Respawner(ReconciliationObserver):
                     if self.session.permission.refusal(recovery=True) is not None:  # since it waits for its turn
                         continue
                     record.carrying_out, record.due = True, None
-                    if request.restart and not beside:
+                    if request.restart and not (beside or record.by_itself):
                         beside = self._of_the_same_process(role)
                         request = PlanRequest(restart=(role, *(other for other, _ in beside)))
                     outcome = await self.session.change(request, brief=True, by="the restart policy", recovery=True)
@@ -189,6 +191,7 @@ class Respawner(ReconciliationObserver):
             failed = f"{words} failed: {error}"
         for each, its in ((role, record), *beside):
             its.carrying_out, its.task = False, None
+            its.by_itself = failed is not None and (its.by_itself or bool(beside))
             if self.system.has_instance(each):
                 its.attempts.runs_since = self.clock.steady()
             elif failed is not None and (policy := self._policy(each)) is not None and not self._stopped:
@@ -201,14 +204,17 @@ class Respawner(ReconciliationObserver):
     def _of_the_same_process(self, role: str) -> list[tuple[str, _Record]]:
         """The nodes that share a container with ``role`` and are to be restarted now: one plan restores all of them.
 
-        The restarts are counted for each of them.
+        The restarts are counted for each of them. Where one has failed, they are restarted one by one from then on, so
+        that a node that cannot start keeps no other one away.
         """
         nodes = self.system.specification.nodes
         container = None if role not in nodes else nodes[role].container
         found = []
         for other in () if container is None else self.system.specification.members_of(container):
             record = self._records.get(other)
-            if record is None or other == role or record.task is None or record.due is None or record.falls_back:
+            if record is None or other == role or record.task is None or record.due is None:
+                continue
+            if record.falls_back or record.by_itself:
                 continue
             if record.due <= self.clock.steady() and not self.system.has_instance(other):
                 record.task.cancel()
