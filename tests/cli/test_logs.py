@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import select
 import signal
 import time
@@ -74,8 +75,22 @@ def test_nodes_that_share_a_container_share_its_log(tmp_path: Path) -> None:
     assert found("talker", shared) == found("pipeline", shared) == ["pipeline"]
     assert found("talker", alone) == ["talker_2"]
     assert found("pipeline", shared, alone) == ["pipeline", "talker_2"]
-    assert found("pipeline") == ["pipeline"], "all of its nodes have crashed"
     assert found("manager") == []
+
+
+def test_after_a_container_has_crashed_its_log_is_that_of_its_nodes(tmp_path: Path) -> None:
+    """The last one is meant, where they had moved to another process."""
+    space = workspace(tmp_path, pipeline="of both", pipeline_2="of both, later", talker_2="of one for itself")
+    os.utime(space.logs / "pipeline.log", (1, 1))
+
+    def found(node: str, *names: str) -> list[str]:
+        crashed = [crash(name, container="pipeline") for name in names]
+        return [path.stem for path in log_files(space, node, status(crashed=crashed))]
+
+    assert found("talker", "talker", "listener") == ["pipeline_2"]
+    assert found("pipeline", "talker", "listener") == ["pipeline_2"]
+    assert found("talker", "talker_2") == ["talker_2"]
+    assert found("pipeline", "talker_2", "listener") == ["talker_2", "pipeline_2"]
 
 
 def workspace(folder: Path, **logs: str) -> Workspace:

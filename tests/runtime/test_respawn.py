@@ -141,6 +141,7 @@ def test_a_node_that_cannot_start_keeps_the_others_of_its_container_away_for_one
         await asyncio.sleep(150)
         assert sorted(simulator.processes) == ["listener"]
         assert words(manager, "command").count("respawn listener") == 1
+        assert (await crashed(manager)).container == "pipeline"
         [ended] = words(manager, "respawn_ended")
         assert "talker will not be restarted again" in ended
 

@@ -281,6 +281,8 @@ declare namespace Api {
     role: string | null;
     /** why it does not run */
     words: string;
+    /** of the system, that loads its node beside others */
+    container: string | null;
   }
 
   /** A new instance is started. */

@@ -14,7 +14,7 @@ from midstride.runtime.process.log_runs import run_begun
 from midstride.runtime.workspace import Workspace
 
 if TYPE_CHECKING:
-    from midstride.runtime.records.status_forms import Status
+    from midstride.runtime.records.status_forms import CrashedInstance, Status
 
 # How much of the end of a file is read for its last lines, and how much at once of what is appended to it (bytes).
 LONGEST_TAIL: Final = 4 * 1024 * 1024
@@ -31,15 +31,25 @@ def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Pa
     """
     if status is not None:
         named = (each for each in status.instances if node in (each.role, each.name, each.container, each.process))
-        live = list(dict.fromkeys(each.process or each.name for each in named))
-        crashed = [each.name for each in status.crashed if is_named_after(each.name, node)]
-        names = [*(name for name in crashed if name not in live), *live]
-        if not names:  # an instance that is no more, as after a roll-back, or a container of which all have crashed
-            names = [node]
-        paths = [workspace.logs / log_file_name(name) for name in names]
+        live = [workspace.logs / log_file_name(each.process or each.name) for each in named]
+        gone = (each for each in status.crashed if is_named_after(each.name, node) or each.container == node)
+        crashed = [_log_of_crashed(workspace, each) for each in gone]
+        paths = list(dict.fromkeys([*(path for path in crashed if path not in live), *live]))
+        if not paths:  # an instance that is no more, as after a roll-back
+            paths = [workspace.logs / log_file_name(node)]
         return [path for path in paths if path.exists() and path != workspace.manager_log]
     found = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, dotted_name(node))]
     return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
+
+
+def _log_of_crashed(workspace: Workspace, crashed: CrashedInstance) -> Path:
+    """The log of an instance that has crashed; where it has none, that of the latest process of its container."""
+    own = workspace.logs / log_file_name(crashed.name)
+    if crashed.container is None or own.exists():
+        return own
+    container = dotted_name(crashed.container)
+    processes = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, container)]
+    return max(processes, key=lambda path: path.stat().st_mtime, default=own)
 
 
 def ended_since(workspace: Workspace, node: str, shown: Sequence[Path]) -> list[str]:
@@ -62,7 +72,7 @@ def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
     if status is None:
         return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
     live = [name for each in status.instances for name in (each.role, each.name, each.container) if name is not None]
-    crashed = [name for each in status.crashed for name in (each.role, each.name) if name is not None]
+    crashed = [name for each in status.crashed for name in (each.role, each.name, each.container) if name is not None]
     return sorted({*live, *crashed})
 
 

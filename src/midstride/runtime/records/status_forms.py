@@ -231,6 +231,7 @@ class CrashedInstance(Report, frozen=True):
     respawn: Annotated[RespawnStatus | None, Meta(description="null: the node has no restart policy")] = None
     role: Annotated[str | None, Meta(description="null: the specification does not have it any more")] = None
     words: Annotated[str, Meta(description="why it does not run")] = ""
+    container: Annotated[str | None, Meta(description="of the system, that loads its node beside others")] = None
 
 
 class OtherEndpoints(Report, frozen=True, kw_only=True):

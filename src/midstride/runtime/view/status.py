@@ -123,6 +123,7 @@ def crashed(watched: WatchedSystem) -> list[CrashedInstance]:
             respawner.status(role),
             role,
             exited.details,
+            None if role is None else system.specification.nodes[role].container,
         )
         for name, exited in sorted({**system.life.missing, **system.life.exits}.items())
         if name not in system.configuration.instances
