@@ -112,7 +112,8 @@ def restart_command(
 ) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance.
 
-    The plan says what is lost on the way, and of which nodes nothing is measured, as of one without ports.
+    The name of a container stands for all of its nodes, which move to a new process together. The plan says what is
+    lost on the way, and of which nodes nothing is measured, as of one without ports.
     """
     request = {"restart": list(nodes), "declared_parameters": declared_parameters}
     return change(options, request, f"restart {', '.join(nodes)}")
@@ -170,7 +171,10 @@ def remove_command(
     nodes: tuple[str, ...],
     options: RequestOptions,
 ) -> int:
-    """Remove nodes. The functionalities that rely on them degrade only as far as they must."""
+    """Remove nodes. The functionalities that rely on them degrade only as far as they must.
+
+    The name of a container stands for all of its nodes.
+    """
     return change(options, {"remove": list(nodes)}, f"remove {', '.join(nodes)}")
 
 
