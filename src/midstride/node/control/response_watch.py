@@ -57,9 +57,8 @@ class ResponseWatch:
     def _restart(self) -> None:
         self._answered: int | None = None
         self._kept = 0  # when it was last known to keep the bound
-        self._late_since = self._late_at = (
-            0  # when the first late request in succession came, and the last was answered
-        )
+        self._late_since = 0  # when the first late request in succession came
+        self._late_at = 0  # when the last of them was answered
         self._lates = 0  # how many they are
         self._beat, self._beat_at = -1, 0
         self.answered = self.late = 0
