@@ -107,6 +107,22 @@ def test_each_message_is_answered_once_across_replacements(lab: AnsweringLab) ->
     lab.answered_once()
 
 
+def test_a_node_that_lags_behind_hands_over_no_sooner_than_the_new_one_has_all_that_it_is_to_answer(
+    lab: AnsweringLab,
+) -> None:
+    old = lab.first()
+    lab.processes[old.index].send_signal(signal.SIGSTOP)
+    new = lab.answering(of=old.index)
+    until(lambda: new.answers_inputs("out"), "the new node does not answer")
+    assert old.answers_inputs("out") and not new.answers_as(old.index, ["out"])
+    lab.processes[old.index].send_signal(signal.SIGCONT)
+    lab.handed_over(old, new)
+    publishes(new, 200)
+    lab.close()
+    assert lab.overlaps() == 0
+    lab.answered_once()
+
+
 def test_what_a_stopped_successor_does_not_answer_the_old_one_does(lab: AnsweringLab) -> None:
     """It takes the baton back after its patience, and publishes what it has kept."""
     old = lab.first()
@@ -150,7 +166,8 @@ def outputs_of(page: Page, instance: str, predecessor: int | None = None) -> tup
     topics = {"out": "/chat", "in": "/numbers"}
     gates = Gates(page, page.allocate(instance), COMPONENT)
     gates.prepare(topics, predecessor)
-    gates.entry("out").in_step, gates.entry("out").answers = 3, 1
+    entry = gates.entry("out")
+    entry.in_step, entry.answers, entry.overlaps = 3, 1, 1
     record = ForeignRecord(
         instance=instance,
         node=f"/{instance}",

@@ -123,7 +123,9 @@ class Gates:
     def answers_as(self, other: int, ports: Iterable[str]) -> bool:
         """Return whether this node and the node ``other`` (index) have each answered the same inputs on these outputs.
 
-        One message for each, in the thread that has taken it, as far as the library in both has seen.
+        One message for each, in the thread that has taken it, as far as the library in both has seen. Of each topic, the
+        other node has answered an input that this one had taken: else it may still have to answer some that came before
+        this one was there.
         """
         nodes = self.page.layout.nodes
         if not nodes[other].requests or nodes[other].requests != nodes[self.index].requests:
@@ -132,7 +134,9 @@ class Gates:
 
         def answers(own: PagePort) -> bool:
             old = theirs.get(own.topic)
-            return old is not None and old.in_step >= SEEN and own.in_step >= 1 and old.answers == own.answers
+            if old is None or old.in_step < SEEN or own.in_step < 1:
+                return False
+            return bool(old.answers == own.answers == own.overlaps & own.answers)
 
         return all(answers(self.entry(port)) for port in ports)
 

@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 13
+VERSION: Final = 14
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -94,6 +94,7 @@ class PagePort(ctypes.Structure):
         ("in_step", c_uint32),
         ("falls", c_uint32),
         ("answers", c_uint64),
+        ("overlaps", c_uint64),
         ("recorded", c_uint32),
         ("within", c_uint32),
         ("topic", c_char * NAME),

@@ -16,6 +16,7 @@
 
 /* A message that a node has taken. */
 struct input {
+  uint64_t topic;  /* a bit for its topic */
   uint64_t writer; /* from the identity of its writer */
   uint64_t number; /* its number at that writer; 0: none */
   int timed;       /* the middleware does not number messages: it is the time at which it was written (ns) */

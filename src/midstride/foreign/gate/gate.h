@@ -202,7 +202,7 @@ void end_input(void);
 void begin_input(struct entry *source, const struct message_info *info);
 /* The message that a call on this output answers; its number is 0 where it is none, or the output has answered it already. */
 struct input answered_by(struct entry *output);
-/* Whether another node has answered it. */
+/* Whether another node has answered it; if so, the page has from then on that the two overlap. */
 bool is_answered(const struct entry *output, const struct input *input);
 /* Whether the last answer to its writer was that of another node, which has not ended. */
 bool another_answers(const struct entry *output, const struct input *input);

@@ -34,6 +34,12 @@ uint64_t key_of(const void *bytes, size_t length)
   return key ? key : 1;
 }
 
+static void add_bits(_Atomic uint64_t *bits, uint64_t more)
+{
+  if (more & ~atomic_load_explicit(bits, memory_order_relaxed))
+    atomic_fetch_or(bits, more);
+}
+
 /* -- whether each input is answered once ------------------------------------------------------------------------------ */
 
 static void out_of_step(struct port *output)
@@ -91,6 +97,7 @@ void begin_input(struct entry *source, const struct message_info *info)
   current.source = source;
   current.endpoint = atomic_load(&source->endpoint);
   current.input = (struct input){
+      .topic = UINT64_C(1) << source->key % 64,
       .writer = key_of(info->writer, sizeof info->writer),
       .number = timed ? (uint64_t)info->sent : info->number,
       .timed = timed,
@@ -197,8 +204,11 @@ bool another_answers(const struct entry *output, const struct input *input)
 bool is_answered(const struct entry *output, const struct input *input)
 {
   struct answered *answered = last_answer(output, input);
-  return answered && !answers_may(input->number, input->timed, atomic_load(&answered->number),
-                                  atomic_load(&answered->by), output->me);
+  if (!answered || answers_may(input->number, input->timed, atomic_load(&answered->number), atomic_load(&answered->by),
+                               output->me))
+    return false;
+  add_bits(&output->port->overlaps, input->topic);
+  return true;
 }
 
 void note_answer(const struct entry *output, const struct input *input)
@@ -226,9 +236,7 @@ struct input answered_by(struct entry *output)
     out_of_step(port);
     return (struct input){0};
   }
-  uint64_t topic = UINT64_C(1) << source->key % 64;
-  if (!(atomic_load_explicit(&port->answers, memory_order_relaxed) & topic))
-    atomic_fetch_or(&port->answers, topic);
+  add_bits(&port->answers, current.input.topic);
   atomic_fetch_add_explicit(&port->in_step, 1, memory_order_relaxed);
   return current.input;
 }

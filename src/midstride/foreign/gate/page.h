@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 13 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 14 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -66,10 +66,12 @@ struct port {
   _Atomic uint32_t answered;     /* how many requests it has answered */
   _Atomic uint32_t took[LATEST]; /* how long the last ones took (us); that of number n is at n % LATEST, the first is 0 */
   /* Of an output: how many messages in a row, up to the last one, have each answered an input, and one of those that have
-   * arrived meanwhile; how often that has ended; and of which inputs, a bit for each topic. */
+   * arrived meanwhile; how often that has ended; and of which inputs, a bit for each topic. Of which of them the other node has
+   * answered one that this node had taken: from then on, it has taken all that the other one has still to answer. */
   _Atomic uint32_t in_step;
   _Atomic uint32_t falls;
   _Atomic uint64_t answers;
+  _Atomic uint64_t overlaps;
   _Atomic uint32_t recorded; /* of an input: whether what it receives is noted, in a file of the port beside the page */
   _Atomic uint32_t within; /* flags, as above */
   char topic[NAME]; /* its full name; of a server or a client, that of the service */

@@ -138,6 +138,8 @@ void publish_kept(struct entry *entry)
     discard_kept(entry, 0);
   while (decide && entry->kept && is_answered(entry, &entry->kept->input))
     discard_kept(entry, entry->keeping - 1); /* so that this node does not become the writer without a message */
+  if (!decide && entry->kept)
+    is_answered(entry, &entry->kept->input); /* noted also where no other input follows */
   if (!entry->kept || !enter(page, entry->me, descriptor, entry->port, &entry->overdue, &pass))
     return;
   if (!decide)
