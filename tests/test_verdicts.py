@@ -80,6 +80,11 @@ def test_an_output_was_silent_if_its_count_lacks_more_than_its_rate_tolerates(
     assert (None if found is None else found.seconds) == seconds
 
 
+@pytest.mark.parametrize(("rate", "unknown"), [(0.0, False), (1.0, True), (100.0, False)])
+def test_a_count_that_lacks_nothing_leaves_a_silence_open_where_it_tolerates_one(rate: float, unknown: bool) -> None:
+    assert (verdicts.silent_between_counts("/chat", "talker.out", 4.0, rate) is not None) == unknown
+
+
 def test_less_than_a_period_without_an_active_lifecycle_node_loses_nothing() -> None:
     assert verdicts.inactive("/chat", "talker.out", 0.015, 50.0) is None
     for rate in (None, 50.0):

@@ -209,10 +209,9 @@ def _unseen(window: float, rate: float) -> float:
 def silent_between_counts(topic: str, port: str, window: float, rate: float) -> Assessment | None:
     """A count that lacks nothing shows no silence that is as short as what it tolerates; None where that is short.
 
-    For an output that no subscriber of the system hears.
+    For an output that no subscriber of the system hears. One that wrote nothing before (0 Hz) does not fall silent.
     """
-    seconds = _unseen(window, rate) / rate
-    if seconds <= SHORT:
+    if rate == 0 or (seconds := _unseen(window, rate) / rate) <= SHORT:
         return None
     words = (
         f"whether {topic} was silent for up to {seconds_in_words(seconds)}: the messages of {port} were counted over "

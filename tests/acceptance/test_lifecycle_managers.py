@@ -113,7 +113,9 @@ def test_what_would_break_a_bond_is_refused_and_without_the_manager_the_nodes_ar
 def test_a_manager_without_bonds_does_not_notice_and_a_broken_bond_would_have_taken_all_down(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with robot(tmp_path, 0.0) as (manager, bare):
-            await bare.until(lambda: bool(manager.system.life.latest_states["planner_server"].state.serves), 30)
+            await bare.until(
+                lambda: bool(manager.system.life.latest_states["planner_server"].state.lifecycle_callers), 30
+            )
             plan = PlanPreview.of(await manager.plan(RESTART)).continuity
             assert plan and "lifecycle services" not in plan.headline  # the new node has the name, and answers
             # What asks for the state meanwhile sees one node that never leaves `active`.

@@ -31,7 +31,7 @@ import rospy
 from std_msgs.msg import String
 
 rospy.init_node("talker")
-out = rospy.Publisher("chatter", String, queue_size=10)
+out = rospy.Publisher("chatter", String, queue_size=100)
 count, rate = 0, rospy.Rate(50)
 while not rospy.is_shutdown():
     count += 1
@@ -129,7 +129,8 @@ def test_rospy_talkers_replace_each_other_and_a_component(tmp_path: Path) -> Non
     assert writers == ["/talker", "/talker_2", "/talker_3", "/talker_2"], writers
     assert {words for line in heard.read_text().splitlines() for words in line.split()[2:]} == {"hello", "ours"}
     # One that has the topic writes all of its messages, and after the change none.
-    assert all(number == last + 1 for (before, last), (writer, number) in pairwise(found) if before == writer)
+    gaps = [(one, two) for one, two in pairwise(found) if one[0] == two[0] and two[1] != one[1] + 1]
+    assert not gaps
 
 
 def test_a_master_that_is_frozen_does_not_stop_the_relay_for_good(

@@ -132,6 +132,10 @@ def note(order: list[str], name: str, _: Any) -> None:
     order.append(name)
 
 
+def has_both(order: list[str]) -> bool:
+    return len(order) == 2
+
+
 @pytest.fixture
 def servers(tmp_path: Path, gate_library: Path) -> Iterator[Servers]:
     with Bare() as bare:
@@ -198,6 +202,7 @@ def test_the_new_one_begins_when_the_old_one_has_answered_or_its_time_is_over(se
             page.ring(new)
             assert await servers.answered(calls["next"]) == "new"
             assert await servers.answered(calls["slow"]) == "old"
+            await servers.bare.until(partial(has_both, order))  # noted once the executor gets to it
             assert order[0] == first
             await servers.answers("new")
             page.give_requests(old, 2.0)

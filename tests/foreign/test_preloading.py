@@ -49,7 +49,7 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="owners of files can b
 @pytest.fixture(scope="module")
 def compiled() -> Iterator[Callable[..., Path]]:
     """Compiles programs into a folder that other users can read, too."""
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:  # the folder for other tests may be closed to others
         os.chmod(name, 0o755)
         yield partial(compiled_in, Path(name))
 

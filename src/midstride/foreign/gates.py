@@ -123,9 +123,9 @@ class Gates:
     def answers_as(self, other: int, ports: Iterable[str]) -> bool:
         """Return whether this node and the node ``other`` (index) have each answered the same inputs on these outputs.
 
-        One message for each, in the thread that has taken it, as far as the library in both has seen. Of each topic, the
-        other node has answered an input that this one had taken: else it may still have to answer some that came before
-        this one was there.
+        One message for each, in the thread that has taken it, as far as the library in both has seen. Of each topic,
+        the other node has answered an input that this one had taken: else it may still have to answer some that came
+        before this one was there.
         """
         nodes = self.page.layout.nodes
         if not nodes[other].requests or nodes[other].requests != nodes[self.index].requests:

@@ -151,13 +151,14 @@ def what_ended(
             yield verdicts.management_unknown(name, state.starting, planned=planned)
         shared = [] if beside is None else shared_services(state)
         actions = [] if beside is None else shared_actions(state)
-        goes_on = [*shared, *actions] if _hands_over(state, component, beside) else []
+        hands_over = _hands_over(state, component, beside)
+        goes_on = [*shared, *actions] if hands_over else []
         if shared and not goes_on and component.gate is not None:
             yield verdicts.answered_by_both(name, shared, planned=planned)
         if goes_on and actions and planned:
             yield verdicts.goals_go_on(name, actions, component.stop_times.patience)
         ending = [each.words for each in state.serves if each.words not in goes_on]
-        if state.lifecycle_callers:
+        if state.lifecycle_callers and not (hands_over and state.keeps_name):
             ending.append(f"each of its lifecycle services (called by {verdicts.listed(state.lifecycle_callers)})")
         if ending:
             yield verdicts.ends_with(name, ending, planned=planned)
