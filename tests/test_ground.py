@@ -112,7 +112,7 @@ def test_only_what_is_in_quarantine_runs_again(
     monkeypatch.chdir(tmp_path)
     bare = ["--disable-plugin-autoload", "-p", "xdist.plugin", "-c", os.devnull, "--rootdir", str(tmp_path)]
     suite = suites.Suite("one", ["env"], [*bare, "test_it.py"])
-    suites.run_all([[suite]])
+    suites.run_all([suite])
     assert (suite.status, suite.ends()) == (1, {"passed": 1, "failed": 1})
     again = suites.run_quarantined_again([suite])
     assert again == (["one: test_it.py::test_fails_once (It fails once.)"] if listed else [])
@@ -129,17 +129,19 @@ def test_what_computes_is_there_and_runs_apart_from_what_is_timed() -> None:
     assert all(any(file.startswith(each) for file in files) for each in suites.COMPUTING)
 
 
-def test_suites_run_at_once_but_for_those_of_one_list() -> None:
-    chosen = [suites.Suite(name, ["true"]) for name in ("waiting", "computing", "kilted", "ros1", "make lint")]
+def test_what_watches_live_systems_runs_after_the_rest_but_for_the_tests_of_every_day() -> None:
+    watching = {"waiting", "kilted"}
+    names = ("waiting", "computing", "kilted", "ros1", "make lint")
+    chosen = [suites.Suite(name, ["true"], watches=name in watching) for name in names]
 
-    def names(markers: str) -> list[list[str]]:
-        return [[suite.name for suite in several] for several in suites.order(chosen, markers)]
+    def stages(markers: str) -> list[list[str]]:
+        return [[suite.name for suite in stage] for stage in suites.stages(chosen, markers)]
 
-    every = [suite.name for suite in chosen]
-    assert names("not full and not long") == [[name] for name in every]
-    assert names("not long") == [["waiting"], ["computing"], ["kilted", "ros1"], ["make lint"]]
-    assert names("long") == [every]
-    suites.run_all(suites.order(chosen, "not long"))
+    assert stages("not full and not long") == [[*names]]
+    assert stages("not long") == [["computing", "ros1", "make lint"], ["waiting", "kilted"]]
+    assert stages("long") == [[name] for name in names]
+    for stage in suites.stages(chosen, "not long"):
+        suites.run_all(stage)
     assert all(suite.has_passed for suite in chosen)
 
 

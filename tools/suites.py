@@ -5,11 +5,10 @@
 - `kilted`: with the second ROS 2, those tests marked ros2 that concern a platform;
 - `ros1`: with ROS 1, those marked ros1.
 
-Of the tests of every day, all suites run at once. Else `computing` and each COMMAND run in the background: they get the
-processors only while no other process wants them, which is most of the time where the others wait, and give them back
-at once, so that they delay no message; `ros1` runs after `kilted`, so that there are not more live systems at once.
-Those marked long, many of which measure, run one suite after another; with `kilted` then also all others that are
-marked ros2.
+Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`,
+`kilted`) run after the others, together with twice as many tests at once as there are processors, which they use for a
+third of the time: a process that gets no processor for longer than a period misses it. Those marked long, many of which
+measure, run one suite after another; with `kilted` then also all others that are marked ros2.
 
 ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
 such as a linter, runs beside them, and counts as a suite.
@@ -27,7 +26,6 @@ import os
 import re
 import resource
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -45,8 +43,6 @@ QUARANTINE = ROOT / "tests" / "quarantine.txt"
 REPEATS = 2
 # How long suites that are interrupted have to end (s).
 GRACE = 5.0
-# How long a test of `computing` may take where it runs in the background (s): it may get no processor for minutes.
-PATIENCE = 1200
 # The tests that compute most of the time. The others wait, for processes and for messages.
 COMPUTING = (
     *(f"tests/{name}" for name in "codec examples lang model node plan runtime simulation verify wire".split()),
@@ -98,6 +94,7 @@ class Suite:
     arguments: Sequence[str] = ()
     workers: int = 1
     variables: dict[str, str] = field(default_factory=dict)
+    watches: bool = False  # live ROS 2 systems, in real time
     status: int | None = None
     rounds: int = 0
     process: subprocess.Popen[str] | None = None
@@ -167,51 +164,38 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     waiting = [each for each in paths if each not in computing]
     # Where ROS 1 is there, its tests have their own suite and environment; else they are skipped, and say so.
     first = ["-m", f"not ros1 and ({markers})" if options.ros1 else markers, *given]
-    # SCHED_IDLE: such a process gets a processor that no other wants, and gives it back at once.
-    idle = not daily and markers != "long" and shutil.which("chrt")
-    background = [idle, "--idle", "0"] if idle else ["nice", "-n", "10"]
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={file}" for file in computing_files()]
-        workers = processors * 3 // 2
-        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers))
+        workers = processors * 3 // 2  # daily beside `computing`, else beside `kilted`
+        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
-        patience = [f"--timeout={PATIENCE}", "-o", f"faulthandler_timeout={PATIENCE + 30}"] if idle else []
-        arguments = [*first, *patience, *(computing or computing_files())]
-        found.append(Suite("computing", [*background, tool["in-venv"]], arguments, processors))
+        niced = ["nice", "-n", "10", tool["in-venv"]]
+        found.append(Suite("computing", niced, [*first, *(computing or computing_files())], processors))
     if options.kilted:
         folders = PLATFORM if daily else () if markers == "long" else SECOND_PLATFORM
         marked = "ros2" if markers == "long" else f"ros2 and ({markers})"
         variables = {"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"}
         arguments = ["-m", marked, *given, *(paths or folders)]
-        found.append(Suite("kilted", [tool["with-kilted"]], arguments, half, variables))
+        found.append(Suite("kilted", [tool["with-kilted"]], arguments, half, variables, watches=True))
     if options.ros1:
         arguments = ["-m", f"ros1 and ({markers})", *given, *(paths or (PLATFORM if daily else ()))]
-        found.append(Suite("ros1", [tool["with-ros1"]], arguments, half, {"MIDSTRIDE_NEEDS_ROS1": "1"}))
-    beside = filter(None, map(str.strip, options.beside.split(";")))
-    return found + [Suite(each, [*background, *shlex.split(each)]) for each in beside]
+        workers = half if daily else processors
+        found.append(Suite("ros1", [tool["with-ros1"]], arguments, workers, {"MIDSTRIDE_NEEDS_ROS1": "1"}))
+    return found + [Suite(each.strip(), shlex.split(each)) for each in options.beside.split(";") if each.strip()]
 
 
-def order(chosen: Sequence[Suite], markers: str) -> list[list[Suite]]:
-    """What runs at once: lists of suites that run one after another."""
+def stages(chosen: Sequence[Suite], markers: str) -> list[list[Suite]]:
+    """What runs at once, and what after that."""
     if markers == "long":
+        return [[suite] for suite in chosen]
+    if "not full" in markers:
         return [[*chosen]]
-    lists = {suite.name: [suite] for suite in chosen}
-    if "not full" not in markers and "kilted" in lists and "ros1" in lists:
-        lists["kilted"] += lists.pop("ros1")
-    return [*lists.values()]
+    return [[suite for suite in chosen if suite.watches is watches] for watches in (False, True)]
 
 
-def run_all(lists: Sequence[Sequence[Suite]]) -> None:
-    """Each suite of a list after the one before it, the lists at once."""
-    interrupted = threading.Event()
-
-    def run(several: Sequence[Suite]) -> None:
-        for suite in several:
-            if not interrupted.is_set():
-                suite.run()
-
-    threads = [threading.Thread(target=run, args=(several,), daemon=True) for several in lists]
+def run_all(chosen: Sequence[Suite]) -> None:
+    threads = [threading.Thread(target=suite.run, name=suite.name, daemon=True) for suite in chosen]
     for thread in threads:
         thread.start()
     try:
@@ -219,9 +203,8 @@ def run_all(lists: Sequence[Sequence[Suite]]) -> None:
             thread.join()
     except BaseException:
         # A terminal interrupts them as well; each ends what it has started.
-        interrupted.set()
         threads[0].join(GRACE)
-        for suite in (suite for several in lists for suite in several):
+        for suite in chosen:
             if suite.process is not None and suite.process.poll() is None:
                 suite.process.send_signal(signal.SIGINT)
         for thread in threads:
@@ -255,7 +238,8 @@ def main(arguments: Sequence[str]) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     begun = time.monotonic()
     chosen = suites(options)
-    run_all(order(chosen, options.markers))
+    for stage in filter(None, stages(chosen, options.markers)):
+        run_all(stage)
     again = run_quarantined_again(chosen)
     for suite in chosen:
         say(f"== {suite.name}: {'passed' if suite.has_passed else f'failed ({suite.status})'}")

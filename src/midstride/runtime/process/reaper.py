@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 GRACE: Final = 3.0
 KILL_PATIENCE: Final = 10.0
 _TICK: Final = 0.02
+# The reaper ends after the manager, not before.
+_IGNORED: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _TICKS_PER_SECOND: Final = os.sysconf("SC_CLK_TCK")
 
 
@@ -142,14 +144,19 @@ class Reaper:
         """Every process of the system has the environment variable ``variable`` set to ``token``."""
         import subprocess
 
-        self._process: Popen[bytes] = subprocess.Popen(
-            [sys.executable, "-I", "-S", __file__, variable, token],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            cwd="/",
-            start_new_session=True,
-        )
+        # Blocked, which it inherits, until it ignores them: else a signal in its first moments would end it.
+        earlier = signal.pthread_sigmask(signal.SIG_BLOCK, _IGNORED)
+        try:
+            self._process: Popen[bytes] = subprocess.Popen(
+                [sys.executable, "-I", "-S", __file__, variable, token],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                cwd="/",
+                start_new_session=True,
+            )
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
         assert self._process.stdin is not None
         self._pipe = self._process.stdin
 
@@ -184,6 +191,6 @@ class Reaper:
 
 
 if __name__ == "__main__":
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # it ends after the manager, not before
+    for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
     main(sys.stdin, sys.argv[1], sys.argv[2])
