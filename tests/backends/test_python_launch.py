@@ -195,7 +195,7 @@ def generate_launch_description():
 
 
 @pytest.mark.skipif(importlib.util.find_spec("launch_ros") is None, reason="ROS 2's launch is on no package index")
-def test_components_of_a_python_launch_file_get_a_process_each(tmp_path: Path) -> None:
+def test_components_of_a_python_launch_file_get_a_process_each_or_share_one_as_there(tmp_path: Path) -> None:
     file = tmp_path / "robot.launch.py"
     file.write_text(COMPONENTS, encoding="utf-8")
     found = import_launch_file(file, {}, dict(os.environ), None, run_python=True, containers="split")
@@ -207,5 +207,9 @@ def test_components_of_a_python_launch_file_get_a_process_each(tmp_path: Path) -
     assert 'run component "routes::Route" package "routes" gate preload' in found.text
     assert "namespace other {" in found.text
     assert found.nodes == 3
-    omitted = import_launch_file(file, {}, dict(os.environ), None, run_python=True)
+    omitted = import_launch_file(file, {}, dict(os.environ), None, run_python=True, containers="omit")
     assert [each.kind for each in omitted.findings].count("composable") == 3
+    kept = import_launch_file(file, {}, dict(os.environ), None, run_python=True)
+    words = " ".join(kept.text.split())
+    assert 'container /front/pipeline { run "component_container_mt" package "rclcpp_components" }' in words
+    assert "node camera : Camera in /front/pipeline" in words and "node planner : Planner in /front/box" in words
