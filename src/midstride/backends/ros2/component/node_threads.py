@@ -94,7 +94,8 @@ class ExecutorThread:
 class ComponentNodes:
     """``system`` is that whose manager started the process, empty if none did.
 
-    ``shares_name``: one more node of that name belongs to it.
+    ``shares_name``: nodes without the API have that name beside it. How many, only the manager knows, so it alone looks
+    for others; each that ends may be in the graph for some time more.
     ``failed`` is called with the traceback of what a callback raised.
     Raises NodeError where the name is taken.
     """
@@ -122,7 +123,6 @@ class ComponentNodes:
         early_join.leave()
         self._full_name = full_name(name, namespace)
         self._system = system
-        self._shares_name = shares_name
         try:
             if not system:
                 self._check_free()
@@ -141,7 +141,7 @@ class ComponentNodes:
         )
         self._full_name = self.data.get_fully_qualified_name()
         self.control_name = self._control.get_fully_qualified_name()
-        self._checked_until = time.monotonic() + middleware.of_this_process().name_delay
+        self._checked_until = time.monotonic() + (0.0 if shares_name else middleware.of_this_process().name_delay)
         self._foreign_since: float | None = None  # since when the graph has shown another node of its name
         self._data_thread = ExecutorThread("midstride-data", self._context, failed)
         self._control_thread = ExecutorThread("midstride-control", self._context, failed)
@@ -182,7 +182,7 @@ class ComponentNodes:
     def _is_foreign_in_graph(self, managed: bool) -> bool:
         """Return whether more nodes have the name than the role has instances: one until a manager starts others."""
         in_graph = self._control.get_node_names_and_namespaces()  # once, since others may come and go meanwhile
-        nodes: int = in_graph.count(split_name(self._full_name)) - self._shares_name
+        nodes: int = in_graph.count(split_name(self._full_name))
         if nodes <= 1:
             return False
         if not (self._system or managed):
