@@ -39,6 +39,7 @@ BURSTS = """calls.append(1)
         output.write(String(data=f"{count[name]} {comp.instance}"))
 """
 STALLS = "calls.append(1)\n        if len(calls) % 20 < 8: return\n"
+STALLS_AT_TIMES = "calls.append(1)\n        if len(calls) % 50 < 10: return\n"
 THIRD = "calls.append(1)\n        if len(calls) % 3: return\n"
 # Its first calls are as they should be.
 SLOW_LATER = "calls.append(1)\n        if len(calls) > 8 and len(calls) % 3: return\n"
@@ -124,6 +125,14 @@ def test_a_rate_is_asked_for_also_where_the_specification_does_not_say_for_how_l
     outcome, _, instances, _ = changed(tmp_path, program(SLOW), {})
     assert outcome.outcome == "rolled_back"
     assert "does not keep the 20 Hz that its mode guarantees" in str(outcome.because)
+    assert instances == ["counter", "sink"]
+
+
+def test_a_stall_of_the_old_one_does_not_let_in_a_slow_one(tmp_path: Path) -> None:
+    """Over the few periods in which it stalls, half the rate is more than it writes."""
+    outcome, _, instances, _ = changed(tmp_path, program(SLOW), {}, old=program(STALLS_AT_TIMES))
+    assert outcome.outcome == "rolled_back"
+    assert "counter_2.out does not keep the 20 Hz that its mode guarantees" in str(outcome.because)
     assert instances == ["counter", "sink"]
 
 

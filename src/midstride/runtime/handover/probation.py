@@ -37,8 +37,12 @@ PROBATION: Final = 5.0
 # first message: what raises at once in most cases is not let in, and a slow component costs no time.
 CALLS: Final = 3
 CALLS_PATIENCE: Final = 0.5
-# An output is quiet if neither side has written anything for so long (s), and for as long as its rate is judged.
+# An output is quiet if neither side has written anything for so long (s), and for as long as its rate is judged. The
+# two sides are compared over no less: in a few periods, a busy computer makes any publisher look slow.
 QUIET: Final = 1.0
+# A new publisher that keeps no rate is let in once the old one has not kept it either for so long (s), window after
+# window.
+SLOW: Final = 2.0
 
 # How often it is looked what a server has answered (s).
 SERVER_LOOK: Final = 0.2
@@ -158,8 +162,8 @@ class Probation:
 
         None if that is not to be known, or does not suffice.
         """
-        judged = self._window or max(QUIET, FEWEST_PERIODS / self.rate if self.rate else 0.0)
-        silent = 0.0
+        judged = max(self._window or (FEWEST_PERIODS / self.rate if self.rate else 0.0), QUIET)
+        silent = slow = 0.0
         try:
             before = await self._written()
             while True:
@@ -173,7 +177,9 @@ class Probation:
                 if silent >= QUIET:
                     return "quiet" if self._loses_nothing(*written) else None
                 self._beside = f" ({self.swap.old} wrote at {old / judged:.3g} Hz in that time)"
-                if self._window and new >= max(1, AS_MUCH * old) and old < AS_MUCH * self.rate * judged - 1:
+                as_slow = new >= max(1, AS_MUCH * old) and old < AS_MUCH * self.rate * judged - 1
+                slow = slow + judged if as_slow else 0.0
+                if self._window and slow >= SLOW:
                     return "writes"
         except MidstrideError:
             return None
