@@ -112,7 +112,7 @@ def test_only_what_is_in_quarantine_runs_again(
     monkeypatch.chdir(tmp_path)
     bare = ["--disable-plugin-autoload", "-p", "xdist.plugin", "-c", os.devnull, "--rootdir", str(tmp_path)]
     suite = suites.Suite("one", ["env"], [*bare, "test_it.py"])
-    suites.run_all([suite])
+    suites.run_all([[suite]])
     assert (suite.status, suite.ends()) == (1, {"passed": 1, "failed": 1})
     again = suites.run_quarantined_again([suite])
     assert again == (["one: test_it.py::test_fails_once (It fails once.)"] if listed else [])
@@ -127,19 +127,22 @@ def test_what_computes_is_there_and_runs_apart_from_what_is_timed() -> None:
     assert len(files) > 100 and len(files) == len(set(files))
     assert not set(suites.TIMED) & set(files)
     assert all(any(file.startswith(each) for file in files) for each in suites.COMPUTING)
+    for place in (*suites.SECOND_PLATFORM, *suites.PAGES):
+        path, _, test = place.partition("::")
+        assert (ROOT / path).exists() and (not test or f"def {test}(" in (ROOT / path).read_text(encoding="utf-8"))
 
 
 def test_what_watches_live_systems_runs_after_the_rest_but_for_the_tests_of_every_day() -> None:
-    watching = {"waiting", "kilted"}
-    names = ("waiting", "computing", "kilted", "ros1", "make lint")
+    watching = {"waiting", "kilted", "pages"}
+    names = ("waiting", "computing", "kilted", "pages", "ros1", "make lint")
     chosen = [suites.Suite(name, ["true"], watches=name in watching) for name in names]
 
-    def stages(markers: str) -> list[list[str]]:
-        return [[suite.name for suite in stage] for stage in suites.stages(chosen, markers)]
+    def stages(markers: str) -> list[list[list[str]]]:
+        return [[[suite.name for suite in each] for each in stage] for stage in suites.stages(chosen, markers)]
 
-    assert stages("not full and not long") == [[*names]]
-    assert stages("not long") == [["computing", "ros1", "make lint"], ["waiting", "kilted"]]
-    assert stages("long") == [[name] for name in names]
+    assert stages("not full and not long") == [[[name] for name in names]]
+    assert stages("not long") == [[["computing"], ["ros1"], ["make lint"]], [["waiting"], ["kilted", "pages"]]]
+    assert stages("long") == [[[name]] for name in names]
     for stage in suites.stages(chosen, "not long"):
         suites.run_all(stage)
     assert all(suite.has_passed for suite in chosen)

@@ -3,12 +3,13 @@
 - `computing`: in .venv, the tests in COMPUTING, one per processor, at a lower priority, so that they delay no message;
 - `waiting`: in .venv, all others, more tests than processors;
 - `kilted`: with the second ROS 2, those tests marked ros2 that concern a platform;
+- `pages`: in .venv, of all others, the tests in PAGES, where `kilted` runs and not only the tests of every day do;
 - `ros1`: with ROS 1, those marked ros1.
 
-Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`,
-`kilted`) run after the others, together with twice as many tests at once as there are processors, which they use for a
-third of the time: a process that gets no processor for longer than a period misses it. Those marked long, many of which
-measure, run one suite after another; with `kilted` then also all others that are marked ros2.
+Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`, and
+`pages` after `kilted`) run after the others, together with twice as many tests at once as there are processors, which
+they use for a third of the time: a process that gets no processor for longer than a period misses it. Those marked
+long, many of which measure, run one suite after another; with `kilted` then also all others that are marked ros2.
 
 ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
 such as a linter, runs beside them, and counts as a suite.
@@ -52,11 +53,19 @@ COMPUTING = (
 )
 # But these: they watch what processes do within fractions of a second.
 TIMED = ("tests/runtime/test_process.py",)
+# Of those that wait, what is shown to users: about as long as `kilted` is shorter than the rest of `waiting`.
+PAGES = ("tests/browser", "tests/docs")
 # What concerns a platform, every day: the back ends, and ...
 PLATFORM = ("tests/backends", "tests/test_ground.py")
 # ... in `make test-all` also what rests on the rcl, rclpy and middleware of a distribution: the gate in a C library,
-# and the identity of publishers.
-SECOND_PLATFORM = (*PLATFORM, "tests/foreign", "tests/acceptance/test_foreign_swaps.py")
+# and the identity of publishers. `make test-long` runs all that is marked ros2 there.
+_SWAPS = "tests/acceptance/test_foreign_swaps.py::test_a_node_"
+SECOND_PLATFORM = (
+    *PLATFORM,
+    "tests/foreign",
+    f"{_SWAPS}in_c_replaces_one_in_rclpy_and_the_other_way_round",
+    f"{_SWAPS}hands_over_to_a_component_and_back",
+)
 
 _PROGRESS = re.compile(r"[.sFEx]+ +\[ *\d+%\]")
 _PASSED, _SOME_FAILED, _NONE_CHOSEN = 0, 1, 5  # pytest's exit status
@@ -164,9 +173,10 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     waiting = [each for each in paths if each not in computing]
     # Where ROS 1 is there, its tests have their own suite and environment; else they are skipped, and say so.
     first = ["-m", f"not ros1 and ({markers})" if options.ros1 else markers, *given]
+    pages = PAGES if options.kilted and not (daily or paths or markers == "long") else ()
     found = []
     if waiting or not paths:
-        chosen = waiting or [f"--ignore={file}" for file in computing_files()]
+        chosen = waiting or [f"--ignore={each}" for each in (*computing_files(), *pages)]
         workers = processors * 3 // 2  # daily beside `computing`, else beside `kilted`
         found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
@@ -178,6 +188,9 @@ def suites(options: argparse.Namespace) -> list[Suite]:
         variables = {"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"}
         arguments = ["-m", marked, *given, *(paths or folders)]
         found.append(Suite("kilted", [tool["with-kilted"]], arguments, half, variables, watches=True))
+    if pages:
+        kept = [f"--ignore={file}" for file in computing_files() if file.startswith(pages)]
+        found.append(Suite("pages", [tool["in-venv"]], [*first, *pages, *kept], half, watches=True))
     if options.ros1:
         arguments = ["-m", f"ros1 and ({markers})", *given, *(paths or (PLATFORM if daily else ()))]
         workers = half if daily else processors
@@ -185,17 +198,28 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     return found + [Suite(each.strip(), shlex.split(each)) for each in options.beside.split(";") if each.strip()]
 
 
-def stages(chosen: Sequence[Suite], markers: str) -> list[list[Suite]]:
-    """What runs at once, and what after that."""
+def stages(chosen: Sequence[Suite], markers: str) -> list[list[list[Suite]]]:
+    """What runs at once, and what after that: lists of suites that run one after another."""
     if markers == "long":
-        return [[suite] for suite in chosen]
+        return [[[suite]] for suite in chosen]
     if "not full" in markers:
-        return [[*chosen]]
-    return [[suite for suite in chosen if suite.watches is watches] for watches in (False, True)]
+        return [[[suite] for suite in chosen]]
+    watching = {suite.name: [suite] for suite in chosen if suite.watches}
+    if "pages" in watching:
+        watching["kilted"] += watching.pop("pages")
+    return [[[suite] for suite in chosen if not suite.watches], [*watching.values()]]
 
 
-def run_all(chosen: Sequence[Suite]) -> None:
-    threads = [threading.Thread(target=suite.run, name=suite.name, daemon=True) for suite in chosen]
+def run_all(lists: Sequence[Sequence[Suite]]) -> None:
+    """Each suite of a list after the one before it, the lists at once."""
+    interrupted = threading.Event()
+
+    def run(several: Sequence[Suite]) -> None:
+        for suite in several:
+            if not interrupted.is_set():
+                suite.run()
+
+    threads = [threading.Thread(target=run, args=(several,), daemon=True) for several in lists]
     for thread in threads:
         thread.start()
     try:
@@ -203,8 +227,9 @@ def run_all(chosen: Sequence[Suite]) -> None:
             thread.join()
     except BaseException:
         # A terminal interrupts them as well; each ends what it has started.
+        interrupted.set()
         threads[0].join(GRACE)
-        for suite in chosen:
+        for suite in (suite for several in lists for suite in several):
             if suite.process is not None and suite.process.poll() is None:
                 suite.process.send_signal(signal.SIGINT)
         for thread in threads:

@@ -103,21 +103,25 @@ def by_input(robot: Robot) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "rate",
-    [pytest.param("", id="without a rate"), pytest.param(" @ 180 Hz", id="with a rate", marks=pytest.mark.long)],
+    ("rate", "components"),
+    [
+        pytest.param("", ("Native", "Plain"), id="without a rate"),
+        pytest.param("", ("Plain", "Native", "Native"), id="of one kind", marks=pytest.mark.long),
+        pytest.param(" @ 180 Hz", ("Plain", "Native", "Native", "Plain"), id="with a rate", marks=pytest.mark.long),
+    ],
 )
-def test_each_message_is_answered_once(tmp_path: Path, rate: str) -> None:
+def test_each_message_is_answered_once(tmp_path: Path, rate: str, components: tuple[str, ...]) -> None:
     path = system(tmp_path, rate)
 
     async def scenario() -> None:
         with counter(tmp_path, 200):
             async with robot(load(path).require(), tmp_path, topic="/answers", in_c=True) as system:
-                for component in ("Plain", "Native", "Native", "Plain"):
+                for component in components:
                     await system.replaced(component, role="answerer")
                 await system.hears(50)
                 answered_once(system)
-                assert len(system.changes()) == 4
-                assert len(by_input(system)) == 4
+                assert len(system.changes()) == len(components)
+                assert len(by_input(system)) == len(components)
 
     with ended():
         run(scenario())

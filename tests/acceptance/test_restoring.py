@@ -93,11 +93,11 @@ def cut(folder: Path, count: int, *options: str, seconds: float) -> list[dict[st
     return found
 
 
-@pytest.mark.full
 @pytest.mark.timeout(420)
-def test_components_beyond_a_link_that_is_cut_fall_and_come_back(tmp_path: Path) -> None:
-    """Once for a moment, once for longer than the middleware remembers the other side."""
-    cut(tmp_path, 2, "--cut", "5", "25", "--calm", "1", seconds=360.0)
+@pytest.mark.parametrize("length", [pytest.param(5, marks=pytest.mark.full), pytest.param(25, marks=pytest.mark.long)])
+def test_components_beyond_a_link_that_is_cut_fall_and_come_back(length: float, tmp_path: Path) -> None:
+    """For a moment, and for longer than the middleware remembers the other side (s)."""
+    cut(tmp_path, 1, "--cut", f"{length:g}", "--calm", "1", seconds=360.0)
 
 
 @pytest.mark.long

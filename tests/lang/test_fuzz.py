@@ -28,7 +28,7 @@ def _run(count: int, seed: int) -> None:
     assert all(reached[stage] >= count / 100 for stage in ("not text", "not parsed", "parsed", "loaded")), reached
 
 
-@pytest.mark.parametrize("count", [400, pytest.param(3000, marks=pytest.mark.full)])
+@pytest.mark.parametrize("count", [400, pytest.param(1500, marks=pytest.mark.full)])
 def test_some_mutated_inputs(count: int) -> None:
     _run(count, seed=2)
 

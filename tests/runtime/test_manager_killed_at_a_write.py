@@ -294,7 +294,9 @@ def test_the_same_where_steps_are_taken_at_once(finish: bool, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-@pytest.mark.parametrize("every", [17, pytest.param(1, marks=pytest.mark.full)])
+@pytest.mark.parametrize(
+    "every", [17, pytest.param(5, marks=pytest.mark.full), pytest.param(1, marks=pytest.mark.long)]
+)
 def test_the_same_at_every_request_of_such_a_change(every: int, when: When, tmp_path: Path) -> None:
     """Before it is sent, and after its reply has come: between the cuts, and between the sides of each."""
     case, outcomes, number = side_by_side(tmp_path), list[str](), 1

@@ -43,6 +43,7 @@ class Recorder:
         known: bool = True,
         resumed: bool = False,
         own_slots: bool = False,
+        hung: bool = False,
     ) -> SwapReport:
         rows = self.rows if known else [structs.replace(row, publisher=None) for row in self.rows]
         return report(
@@ -58,6 +59,7 @@ class Recorder:
                 first_number=first,
                 resumed=resumed,
                 own_slots=own_slots,
+                hung=hung,
             )
         )
 
@@ -68,6 +70,15 @@ def swap(recorder: Recorder, cut: int = 40, end: int = 80, old: int | None = Non
         recorder.write("old", slot)
     for slot in range(cut if new is None else new, end):
         recorder.write("new", slot)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["identity", "numbering"])
+def test_the_numbers_of_a_new_publisher_reach_those_of_one_that_hung(known: bool) -> None:
+    """It wrote 40 messages, and has been fenced: the 41st is the new one's."""
+    recorder = Recorder()
+    swap(recorder, cut=40, new=200, end=300)
+    seen = recorder.observe(60, 300, known=known, hung=True)
+    assert (seen.missed, seen.lost, seen.duplicates) == (160, 0, 0)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -82,7 +82,7 @@ def report(seen: Observation) -> SwapReport:
     period = seen.guaranteed_period
     rows = _window(seen, period or seen.grid_period)
     gap = _gap(rows, seen.begun, seen.ended) if period else None
-    by_publisher = _by_publisher(rows, seen.begun, seen.last_number)
+    by_publisher = _by_publisher(rows, seen)
     missed = duplicates = None
     grid = seen.grid_period or period
     tail = seen.ended - min(WINDOW_PERIODS * (grid or 0.0), seen.watched) / 2 * 1e9
@@ -132,8 +132,9 @@ def _clock_was_set(rows: Sequence[Receipt], ended: int) -> bool:
     return bool(offsets) and max(offsets) - min(offsets) > ended - rows[0].received
 
 
-def _by_publisher(rows: Sequence[Receipt], begun: int, last_number: int | None) -> _Publishers | None:
+def _by_publisher(rows: Sequence[Receipt], seen: Observation) -> _Publishers | None:
     """The rows of each publisher, distinguished by identity or else by sequence numbers; None if neither is known."""
+    begun, last_number = seen.begun, seen.last_number
     found: _Publishers = {}
     if all(row.publisher is not None for row in rows):
         for row in rows:
@@ -150,6 +151,9 @@ def _by_publisher(rows: Sequence[Receipt], begun: int, last_number: int | None) 
         ended = next(iter(tails), None) if last_number is not None and number > last_number else None
         nearest = [name for name, tail in tails.items() if 0 < number - tail <= 1000 and name != ended]
         exact = [name for name in nearest if tails[name] == number - 1]
+        if seen.hung and len(nearest) > 1:  # one that has been silent since before the change has been fenced
+            nearest = [name for name in nearest if found[name][-1].received > begun] or nearest
+            exact = [name for name in exact if name in nearest]
         if len(exact) > 1 or (not exact and len(nearest) > 1):
             return None  # ambiguous: it may continue two sequences
         name = (exact or nearest or [f"#{len(tails)}"])[0]
