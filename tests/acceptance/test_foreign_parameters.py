@@ -24,7 +24,7 @@ from midstride.plan.runtime_values import time_of
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
-from midstride.verdicts import seconds_in_words
+from midstride.verdicts.assessment import seconds_in_words
 from tests.acceptance.support import ended
 from tests.acceptance.test_parameters import set_by_a_client
 from tests.backends.ros2_support import Bare, run, until_async

@@ -26,7 +26,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.restore.half_done import HALF_DONE
 from midstride.runtime.workspace import Workspace
-from midstride.verdicts import Assessments
+from midstride.verdicts.assessment import Assessments
 from tests.acceptance.acting import CANCELED, SERVER, SUCCEEDED, Goals, asked, written
 from tests.acceptance.foreign_support import Robot, declared_talker, robot
 from tests.acceptance.support import ROOT, ended

@@ -12,7 +12,7 @@ import pytest
 from immutables import Map
 
 from midstride.model.component import DEFAULT_STOP, NodeEndpoint
-from midstride.verdicts import Assessments
+from midstride.verdicts.assessment import Assessments
 from tests.acceptance.support import ended, managed, other_source
 from tests.acceptance.test_node_name import specification
 from tests.backends.ros2_support import Bare, run

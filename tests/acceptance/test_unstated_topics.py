@@ -14,7 +14,7 @@ import pytest
 
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
-from midstride.verdicts import Assessments
+from midstride.verdicts.assessment import Assessments
 from tests.acceptance.foreign_support import declared_talker, robot
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run, without_midstride

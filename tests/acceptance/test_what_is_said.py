@@ -38,7 +38,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.handover import probation
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Outcome
-from midstride.verdicts import Assessment, Assessments
+from midstride.verdicts.assessment import Assessment, Assessments
 from tests.acceptance.foreign_support import manager_of
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import Bare, run

@@ -33,7 +33,7 @@ from midstride.runtime.records.status_forms import (
 )
 from midstride.server.static import dashboard
 from midstride.server.view.view_forms import Patch, SystemView
-from midstride.verdicts import system_condition
+from midstride.verdicts.conditions import system_condition
 from tests.server.support import free_port
 
 MODES = ["normal", "reduced", "degraded"]

@@ -13,7 +13,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from midstride.runtime.records.status_forms import CrashedInstance, ParameterStatus
-from midstride.verdicts import system_condition
+from midstride.verdicts.conditions import system_condition
 from tests.browser.conftest import Opened, System
 from tests.browser.synthetic import Synthetic, component, functionality, serving
 

@@ -8,7 +8,7 @@ import msgspec
 
 from midstride.codec.form import encode
 from midstride.runtime.records.status_forms import Status
-from midstride.verdicts import system_condition
+from midstride.verdicts.conditions import system_condition
 
 Document = dict[str, Any]
 

@@ -16,7 +16,7 @@ from midstride.cli.commands import up
 from midstride.cli.input_files import load
 from midstride.codec.form import encode
 from midstride.runtime.records.reports import UpReport
-from midstride.verdicts import system_condition
+from midstride.verdicts.conditions import system_condition
 from tests.cli.conftest import EXAMPLES, Midstride
 from tests.planting import plant
 from tests.runtime.systems import rewritten

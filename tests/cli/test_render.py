@@ -10,7 +10,6 @@ import msgspec
 import pytest
 from rich.console import Console, RenderableType
 
-from midstride import verdicts
 from midstride.cli import render, render_status
 from midstride.cli.input_files import as_typed_here
 from midstride.cli.output import PAGE_WIDTH, console
@@ -18,6 +17,7 @@ from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.runtime.change.change_assessment import reported
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.records.status_forms import Status
+from midstride.verdicts import assessment
 from tests.cli.statuses import component, crash, functionality, status
 
 
@@ -43,7 +43,7 @@ def done(outcome: str = "done", plan: dict[str, Any] | None = None, **changed: A
     system = {"system": "s"}
     whole = {**(plan or plan_document()), "start": system, "target": system}
     made = msgspec.convert({"outcome": outcome, "plan": whole, "seconds": 0.27, **changed}, Outcome)
-    return msgspec.structs.replace(made, continuity=verdicts.assessed(reported(made, made.silences)))
+    return msgspec.structs.replace(made, continuity=assessment.assessed(reported(made, made.silences)))
 
 
 HOLDS = {"verdict": "holds", "subject": "the plan", "scope": "s", "by": "Alloy"}

@@ -17,7 +17,8 @@ from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.runtime.manager import Manager
-from midstride.verdicts import EXIT_STATUS, Assessments
+from midstride.verdicts.assessment import Assessments
+from midstride.verdicts.conditions import EXIT_STATUS
 from tests.foreign import simulated
 from tests.foreign.chat import chat
 from tests.foreign.simulated import SimulatedNode, SimulatedRos

@@ -31,7 +31,7 @@ from midstride.runtime.instance_life import LatestState
 from midstride.runtime.manager import Manager
 from midstride.runtime.process.launcher import LastKnown
 from midstride.runtime.records.reports import StepTime
-from midstride.verdicts import Assessments
+from midstride.verdicts.assessment import Assessments
 from midstride.wire.state import Endpoint, UndeclaredTopic
 from tests.acceptance.foreign_support import declared_talker
 from tests.plan.cases import replacing

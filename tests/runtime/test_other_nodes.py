@@ -22,7 +22,7 @@ from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.view.instance_status import _misnamed
 from midstride.runtime.watch.other_nodes import INTERVAL
 from midstride.runtime.workspace import Workspace
-from midstride.verdicts import Assessment
+from midstride.verdicts.assessment import Assessment
 from tests.runtime.systems import EXAMPLES, example, managed, replace, saved
 
 CAMERA = OtherNode("/camera", ("/image",), ("service /save",))

@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import pytest
 
-from midstride import verdicts
 from midstride.model.action import Action, Attach, Detach, Handover, Swap
 from midstride.model.component import PortRef
 from midstride.runtime.watch.output_tallies import OutputTallies, _Begun
 from midstride.runtime.watch.subscriber_recording import Exchange
+from midstride.verdicts.assessment import Assessment
 from midstride.wire.state import LinkState
 
 RATE, WINDOW, BEFORE = 50.0, 4.0, 1000
@@ -48,7 +48,7 @@ def said(
     begun = LinkState(gate="open", count=before)
     tallies._begun = [_Begun(Exchange("/chat", OLD, NEW), "/chat", 0.0, begun, RATE, only_counted)]
 
-    async def assessed() -> list[verdicts.Assessment]:
+    async def assessed() -> list[Assessment]:
         for each in performed:
             await tallies.performed(each)
         return await tallies.assessments({OLD: last, NEW: last_of_new}, received, resumed=resumed)

@@ -11,11 +11,11 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from midstride import verdicts
 from midstride.cli.console import PrintableTable
 from midstride.codec.parameter import from_json
 from midstride.model import wording
 from midstride.model.instance_names import is_named_after
+from midstride.verdicts import assessment
 
 if TYPE_CHECKING:  # most commands show none of them
     from msgspec import UnsetType
@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # most commands show none of them
     from midstride.runtime.records.change_history import ChangeRecord, History
     from midstride.runtime.records.measure import SwapReport
     from midstride.runtime.records.reports import DegradedFunctionality, Event, Outcome
-    from midstride.verdicts import Assessments
+    from midstride.verdicts.assessment import Assessments
 
     AnyPlan: TypeAlias = PlanForm | PlanPreview
 
@@ -70,7 +70,7 @@ def table(left: Iterable[str], right: Iterable[str] = ()) -> Table:
 
 def seconds(value: float | None) -> str:
     """A duration with three significant digits or so."""
-    return UNKNOWN if value is None else verdicts.seconds_in_words(value)
+    return UNKNOWN if value is None else assessment.seconds_in_words(value)
 
 
 def hertz(rate: float | None) -> str:
@@ -216,7 +216,7 @@ def _alternative(alternative: Alternative) -> str:
     mode = alternative.kept_at
     if alternative.impossible is not None:
         return f"It cannot be kept at {mode}: {alternative.impossible}"
-    instead = verdicts.listed(alternative.degraded) if alternative.degraded else "nothing"
+    instead = assessment.listed(alternative.degraded) if alternative.degraded else "nothing"
     cost = f"the disruption would be {alternative.disruption:.3g}"
     return f"To keep it at {mode}, {cost}: {instead} would degrade instead"
 
@@ -280,7 +280,8 @@ def outcome(outcome: Outcome) -> RenderableType:
     lines: list[RenderableType] = [Text.from_markup(headline + (f": {escape(str(because))}" if because else "."))]
     if kind != "refused":
         skews = (
-            f"{skew.kind.capitalize()} of {verdicts.listed(skew.functionalities)}: within {skew.seconds * 1000:.1f} ms."
+            f"{skew.kind.capitalize()} of {assessment.listed(skew.functionalities)}: "
+            f"within {skew.seconds * 1000:.1f} ms."
             for skew in outcome.skews
         )
         lines += map(Text, [*_times(outcome), *skews])

@@ -24,7 +24,7 @@ from midstride.runtime.records.status_forms import (
     SpareStatus,
     Status,
 )
-from midstride.verdicts import silence_in_words
+from midstride.verdicts.assessment import silence_in_words
 
 
 def status(status: Status) -> RenderableType:

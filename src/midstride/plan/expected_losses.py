@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from midstride import verdicts
 from midstride.model.action import Create, Handover, Remove
 from midstride.model.configuration import Instance
 from midstride.plan.plan import Plan
+from midstride.verdicts import assessment, change_facts, unmeasured
+from midstride.verdicts.assessment import Assessment, Assessments
 
 # How long the two transitions of a hand-over between lifecycle nodes without a library may take (s), where the
 # specification states no other time to activate (docs/how-to/unmodified-nodes.md).
@@ -18,23 +19,28 @@ ACTIVATE: Final = 5.0
 ASKING: Final = 3.0
 
 
-def expected_losses(plan: Plan) -> verdicts.Assessments:
+def expected_losses(plan: Plan) -> Assessments:
     """Assess what ``plan`` lowers, what is down or silent meanwhile, and of which nodes nothing measures what
     they do.
     """
     lowered = [each.functionality for each in plan.degradations]
     lowered += [shift.functionality for shift in plan.level_shifts if shift.levels > 0]
-    found = [*map(verdicts.will_degrade, dict.fromkeys(lowered)), *_silences(plan), *_exchanges(plan), *plan.besides]
+    found = [
+        *map(change_facts.will_degrade, dict.fromkeys(lowered)),
+        *_silences(plan),
+        *_exchanges(plan),
+        *plan.besides,
+    ]
     touched = {role for step in plan.steps for role in step.roles}
     others = {
         role: plan.change.target.component_of(role)
         for role in plan.change.start.instances_by_role
         if role not in touched and role in plan.change.target.nodes
     }
-    return verdicts.expected([*found, *(verdicts.unmeasured_nodes(others) if plan.steps else ())])
+    return assessment.expected([*found, *(unmeasured.unmeasured_nodes(others) if plan.steps else ())])
 
 
-def _silences(plan: Plan) -> Iterator[verdicts.Assessment]:
+def _silences(plan: Plan) -> Iterator[Assessment]:
     """The topics that are handed over between lifecycle nodes that nothing else holds back."""
     instances = planned_instances(plan)
     for step in plan.steps:
@@ -45,10 +51,10 @@ def _silences(plan: Plan) -> Iterator[verdicts.Assessment]:
                 activate_old, activate_new = (each.activate_seconds or ACTIVATE for each in sides)
                 longest = DEACTIVATE + activate_new
                 back = longest + ASKING + activate_old
-                yield verdicts.will_be_inactive(swap.connector, swap.old.instance, swap.new.instance, longest, back)
+                yield change_facts.will_be_inactive(swap.connector, swap.old.instance, swap.new.instance, longest, back)
 
 
-def _exchanges(plan: Plan) -> Iterator[verdicts.Assessment]:
+def _exchanges(plan: Plan) -> Iterator[Assessment]:
     """The nodes of which nothing measures what they do, and that are started again."""
     instances = planned_instances(plan)
     created = {step.action.instance.name: at for at, step in enumerate(plan.steps) if isinstance(step.action, Create)}
@@ -59,7 +65,7 @@ def _exchanges(plan: Plan) -> Iterator[verdicts.Assessment]:
         because = unmeasured_pair(instances, old, new)
         if because is not None:
             down = plan.steps[removed[old] : created[new] + 1]
-            yield verdicts.will_be_exchanged(
+            yield change_facts.will_be_exchanged(
                 instances[new].role,
                 because,
                 side_by_side=created[new] < removed[old],
@@ -69,7 +75,7 @@ def _exchanges(plan: Plan) -> Iterator[verdicts.Assessment]:
 
 def unmeasured_pair(instances: Mapping[str, Instance], old: str, new: str) -> str | None:
     """Why nothing measures what two instances of a role do; None where something does."""
-    return next(filter(None, (verdicts.why_unmeasured(instances[name].component) for name in (old, new))), None)
+    return next(filter(None, (unmeasured.why_unmeasured(instances[name].component) for name in (old, new))), None)
 
 
 def planned_instances(plan: Plan) -> dict[str, Instance]:

@@ -17,7 +17,7 @@ from midstride.plan.programs_last import programs_last
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.schedule import Schedule, makespan, schedule
 from midstride.plan.step import Step
-from midstride.verdicts import Assessment
+from midstride.verdicts.assessment import Assessment
 
 _EPSILON: Final = 1e-6
 

@@ -19,7 +19,7 @@ from midstride.generate.drawn_system import view
 from midstride.model.wording import counted
 from midstride.plan.impact import impacts
 from midstride.plan.specification_diff import differences
-from midstride.verdicts import listed
+from midstride.verdicts.assessment import listed
 
 _FILE = click.Path(path_type=Path)
 

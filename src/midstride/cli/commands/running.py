@@ -14,7 +14,7 @@ from midstride.cli.durations import duration
 from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, not_running, system_option
-from midstride.verdicts import EXIT_STATUS
+from midstride.verdicts.conditions import EXIT_STATUS
 
 if TYPE_CHECKING:
     from midstride.runtime.records.reports import Event

@@ -33,7 +33,7 @@ from midstride.model.specification import Specification
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.records.reports import UpReport
 from midstride.runtime.workspace import Workspace
-from midstride.verdicts import EXIT_STATUS, not_yet_judged
+from midstride.verdicts.conditions import EXIT_STATUS, not_yet_judged
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
 START_TIMEOUT = 30.0

@@ -41,7 +41,7 @@ from midstride.plan.overlap import duration
 from midstride.plan.plan import BoundPart, Plan, ProofSpace
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.state_continuity import left_behind
-from midstride.verdicts import Assessments
+from midstride.verdicts.assessment import Assessments
 
 Steps: TypeAlias = Annotated[list[AnyStep], field("a list of steps")]
 StartInstances: TypeAlias = Annotated[

@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from immutables import Map
 
-from midstride import verdicts
 from midstride.model import wording
 from midstride.model.action import Action, Create, Degrade, Detach, Remove
 from midstride.model.configuration import Configuration
@@ -19,6 +18,8 @@ from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
 from midstride.runtime.records.reports import Outcome, StepTime
 from midstride.runtime.records.status_forms import SilenceFault
+from midstride.verdicts import assessment, change_facts, unmeasured
+from midstride.verdicts.assessment import Assessment, Assessments
 
 
 def change_assessment(
@@ -26,11 +27,11 @@ def change_assessment(
     plan: Plan,
     now: Configuration,
     silences: Sequence[SilenceFault],
-    at_outputs: Sequence[verdicts.Assessment],
+    at_outputs: Sequence[Assessment],
     states: Mapping[str, LatestState],
     last_known: Mapping[str, LastKnown] = Map(),
-    ended: Sequence[verdicts.Assessment] = (),
-) -> verdicts.Assessments:
+    ended: Sequence[Assessment] = (),
+) -> Assessments:
     """Return what may be said of ``outcome``, after which ``now`` runs.
 
     ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show;
@@ -38,7 +39,7 @@ def change_assessment(
     ended. ``ended``: what has become of the nodes that have ended with an instance.
     """
     lowered = bool(outcome.below_baseline_seconds)
-    return verdicts.assessed(
+    return assessment.assessed(
         [
             *reported(outcome, silences, _unmeasured_roles(plan), _deactivations(plan, outcome)),
             *(each for each in at_outputs if each.verdict != "lost" or each.at_most or not lowered),
@@ -59,40 +60,40 @@ def reported(
     silences: Sequence[SilenceFault],
     unmeasured: Collection[str] = (),
     deactivations: Mapping[str, float] = Map(),
-) -> list[verdicts.Assessment | None]:
+) -> list[Assessment | None]:
     """Return what the figures of ``outcome`` say; ``silences``: all that is silent now, also what was before.
 
     ``unmeasured``: the roles of which nothing measures when a new node has begun its work. ``deactivations``: those of
     lifecycle nodes, each with how long it took at most until it was acknowledged (s).
     """
-    found: list[verdicts.Assessment | None] = []
+    found: list[Assessment | None] = []
     for name, spent in sorted(outcome.below_baseline_seconds.items()):
         role = name.partition(".")[0]
         spent, at_most = round(spent + deactivations.get(role, 0.0), 6), role in deactivations
-        found.append(verdicts.below_level(name, spent, unmeasured=role in unmeasured, at_most=at_most))
+        found.append(change_facts.below_level(name, spent, unmeasured=role in unmeasured, at_most=at_most))
     for each in outcome.remaining_degradations:
         because = f": {each.because.splitlines()[0]}" if each.because else ""
         words = f"{wording.lowered(each.functionality, each.after, each.before)}{because}"
-        found.append(verdicts.lower_afterwards(each.functionality, words, planned=each.planned))
+        found.append(change_facts.lower_afterwards(each.functionality, words, planned=each.planned))
     if outcome.unexpected_exits:
-        found.append(verdicts.exited(outcome.unexpected_exits))
+        found.append(change_facts.exited(outcome.unexpected_exits))
     if outcome.unexpected_degradations:
-        found.append(verdicts.degraded_unexpectedly(outcome.unexpected_degradations))
-    found += [verdicts.fenced(each.instance, each.words) for each in outcome.fenced]
+        found.append(change_facts.degraded_unexpectedly(outcome.unexpected_degradations))
+    found += [change_facts.fenced(each.instance, each.words) for each in outcome.fenced]
     begun = {fault.words for fault in outcome.silences}
     for fault in silences:
         subject = fault.port or fault.instance
         found.append(
-            verdicts.silent(subject, fault.words, fault.seconds or None, since_before=fault.words not in begun)
+            change_facts.silent(subject, fault.words, fault.seconds or None, since_before=fault.words not in begun)
         )
     for swap in outcome.swaps:
         counts = {name: getattr(swap, name) for name in ("missed", "lost", "duplicates")}
-        found.append(verdicts.received(swap.topic, swap.subscriber, counts, swap.gap))
-    killed = (verdicts.killed(each.instance, each.words, unfinished=each.unfinished) for each in outcome.killed)
+        found.append(change_facts.received(swap.topic, swap.subscriber, counts, swap.gap))
+    killed = (change_facts.killed(each.instance, each.words, unfinished=each.unfinished) for each in outcome.killed)
     return [*found, *killed]
 
 
-def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[verdicts.Assessment]:
+def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[Assessment]:
     """The nodes of which nothing measures what they do, and that were started again, or were to be."""
     created: dict[str, StepTime | None] = {}
     removed: dict[str, StepTime | None] = {}
@@ -114,7 +115,7 @@ def _exchanged(plan: Plan, outcome: Outcome) -> Iterator[verdicts.Assessment]:
             down, together = started - end.began, end.began + end.seconds - started
         done = outcome.outcome == "done"
         if end is not None or not done:
-            yield verdicts.unmeasured_exchange(instances[new].role, because, down=down, together=together, done=done)
+            yield unmeasured.unmeasured_exchange(instances[new].role, because, down=down, together=together, done=done)
 
 
 def _timed_actions(plan: Plan, outcome: Outcome) -> Iterator[tuple[Action, StepTime | None]]:
@@ -142,7 +143,7 @@ def _together(plan: Plan, outcome: Outcome) -> dict[str, float]:
 
 def _unmeasured_roles(plan: Plan) -> set[str]:
     instances = planned_instances(plan).values()
-    return {each.role for each in instances if verdicts.why_unmeasured(each.component) is not None}
+    return {each.role for each in instances if unmeasured.why_unmeasured(each.component) is not None}
 
 
 def _deactivations(plan: Plan, outcome: Outcome) -> dict[str, float]:
@@ -160,16 +161,16 @@ def _deactivations(plan: Plan, outcome: Outcome) -> dict[str, float]:
     return found
 
 
-def _started(plan: Plan, now: Configuration) -> Iterator[verdicts.Assessment]:
+def _started(plan: Plan, now: Configuration) -> Iterator[Assessment]:
     """The outputs that guarantee a rate in a system that has just been started, and that is not measured yet."""
     if not plan.change.start.instances and (
         rated := [str(port) for ports in now.publishers.values() for port in ports if now.rate(port)]
     ):
-        yield verdicts.just_started(sorted(rated))
+        yield change_facts.just_started(sorted(rated))
 
 
-def _others(plan: Plan, now: Configuration) -> list[verdicts.Assessment]:
+def _others(plan: Plan, now: Configuration) -> list[Assessment]:
     """The nodes that run and were not exchanged, of which nothing measures whether they do their work."""
     exchanged = {plan.change.role_of(old) for old in plan.change.replaced}
     others = (instance for instance in now.instances.values() if instance.role not in exchanged)
-    return verdicts.unmeasured_nodes({instance.role: instance.component for instance in others})
+    return unmeasured.unmeasured_nodes({instance.role: instance.component for instance in others})

@@ -15,7 +15,6 @@ from typing import Final
 
 from msgspec import UNSET, UnsetType, structs
 
-from midstride import verdicts
 from midstride.codec.parameter import from_json
 from midstride.errors import BackendError, ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
@@ -74,6 +73,7 @@ from midstride.runtime.watch.degradation_timer import DegradationTimer
 from midstride.runtime.watch.other_nodes import OtherNodesWatch
 from midstride.runtime.watch.output_tallies import OutputTallies
 from midstride.runtime.watch.subscriber_recording import Recording
+from midstride.verdicts import change_facts
 from midstride.verify.verdict import Verdict
 from midstride.wire.state import Endpoint
 
@@ -155,7 +155,7 @@ class ChangeSession:
             *planned_transfers(plan, system.life.latest_states),
             *names_after(plan, system.life.latest_states),
             *nodes_that_will_end(plan, others),
-            *(verdicts.management_not_seen(name, planned=True) for name in unseen),
+            *(change_facts.management_not_seen(name, planned=True) for name in unseen),
         )
         states = system.life.latest_states
         in_turn = (*answered_in_turn(plan, states), *messages_in_turn(plan, states))
@@ -406,7 +406,7 @@ class ChangeSession:
         )
         ended = (
             *nodes_that_ended(change, self.launcher.ended_with, system.configuration, self.others.look()),
-            *(verdicts.management_not_seen(name, planned=False) for name in sorted(driver.unseen)),
+            *(change_facts.management_not_seen(name, planned=False) for name in sorted(driver.unseen)),
         )
         continuity = change_assessment(
             outcome,

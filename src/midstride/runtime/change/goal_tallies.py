@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from midstride.model.wording import counted
 from midstride.plan.plan import Plan
 from midstride.runtime.records.reports import GoalTally
-from midstride.verdicts import listed
+from midstride.verdicts.assessment import listed
 from midstride.wire.state import GoalCounts
 
 

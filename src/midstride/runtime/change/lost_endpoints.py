@@ -12,13 +12,14 @@ from typing import Final
 
 from msgspec import structs
 
-from midstride import verdicts
 from midstride.model.action import Create, Remove
 from midstride.model.component import ComponentSpec
 from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
+from midstride.verdicts import assessment, change_facts
+from midstride.verdicts.assessment import Assessment
 from midstride.wire.state import ComponentState, Endpoint
 
 # How the words for a ROS action begin.
@@ -30,7 +31,7 @@ def lost_endpoints(
     states: Mapping[str, LatestState],
     endpoints: Mapping[str, Sequence[Endpoint]],
     unseen: str = "it had just been started",
-) -> Iterator[verdicts.Assessment]:
+) -> Iterator[Assessment]:
     """Assess which services, calls and topics ``plan`` is expected to end.
 
     ``states``: the last reports of the nodes that it removes; ``endpoints``: what they have besides ports. ``unseen``:
@@ -53,7 +54,7 @@ def lost_endpoints(
 
 def _goals_of_ports(
     plan: Plan, name: str, component: ComponentSpec, beside: ComponentSpec | None
-) -> Iterator[verdicts.Assessment]:
+) -> Iterator[Assessment]:
     """The ROS actions whose servers are ports of the instance ``name``, where it has the API and its successor too.
 
     A stand-in, which the plan itself creates, has accepted none when it is planned.
@@ -63,10 +64,10 @@ def _goals_of_ports(
         attached = start.attached_ports(name)
         kinds = {port: component.kind_of(port) for port in component.outputs}
         if actions := sorted(f"{ACTION}{served}" for port, served in attached if kinds.get(port.port) == "action"):
-            yield verdicts.goals_go_on(name, actions, component.stop_times.patience)
+            yield change_facts.goals_go_on(name, actions, component.stop_times.patience)
 
 
-def unseen_endpoints(plan: Plan) -> Iterator[verdicts.Assessment]:
+def unseen_endpoints(plan: Plan) -> Iterator[Assessment]:
     """Assess what ``plan`` may end of a system that does not run: only the graph shows what a node has besides its
     ports.
     """
@@ -75,8 +76,8 @@ def unseen_endpoints(plan: Plan) -> Iterator[verdicts.Assessment]:
         if isinstance(step.action, Remove):
             component = plan.change.instance(step.action.instance).component
             if allowed := [f"{each.kind} {each.name}" for each in component.allows if each.kind != "topic"]:
-                words = f"it may have {verdicts.listed(allowed)}, which nothing hands over"
-                yield verdicts.not_looked_at(step.action.instance, words)
+                words = f"it may have {assessment.listed(allowed)}, which nothing hands over"
+                yield change_facts.not_looked_at(step.action.instance, words)
 
 
 def endpoints_that_ended(
@@ -84,7 +85,7 @@ def endpoints_that_ended(
     ended_instances: Mapping[str, LastKnown],
     states: Mapping[str, LatestState],
     together: Mapping[str, float],
-) -> Iterator[verdicts.Assessment]:
+) -> Iterator[Assessment]:
     """Assess what has ended with ``ended_instances`` while ``plan`` was carried out, also with those that it had
     created.
 
@@ -120,7 +121,7 @@ def what_ended(
     planned: bool,
     new: str = "it had just been started",
     beside: ComponentSpec | None = None,
-) -> Iterator[verdicts.Assessment]:
+) -> Iterator[Assessment]:
     """Assess what ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
@@ -134,39 +135,39 @@ def what_ended(
         if beside is not None:
             verb, may = ("answers", "may be") if planned else ("answered", "may have been")
             because += f"; each of the two {verb} the services that both have, so that a request {may} handled twice"
-        yield verdicts.not_looked_at(name, because)
+        yield change_facts.not_looked_at(name, because)
     elif component.gate is not None and not component.once and (state is None or not state.looked):
-        yield verdicts.not_looked_at(name, new)
+        yield change_facts.not_looked_at(name, new)
     if goals := [f"ROS action {each.name}" for each in own if each.kind == "ROS action" and each.serves]:
         if component.gate is not None or beside is None or beside.gate is not None:
-            yield verdicts.goals_end_with(name, goals, planned=planned)
+            yield change_facts.goals_end_with(name, goals, planned=planned)
         elif planned:
-            yield verdicts.goals_go_on(name, goals, component.stop_times.patience)
+            yield change_facts.goals_go_on(name, goals, component.stop_times.patience)
     both = [f"service {each.name}" for each in own if each.kind == "service" and each.serves]
     if both and beside is not None and component.gate is None and beside.gate is not None:
-        yield verdicts.answered_by_both(name, both, planned=planned)
+        yield change_facts.answered_by_both(name, both, planned=planned)
     called = [f"{each.kind} {each.name}" for each in own if each.kind != "topic" and not each.serves]
     if state is not None:
         if state.starting:
-            yield verdicts.management_unknown(name, state.starting, planned=planned)
+            yield change_facts.management_unknown(name, state.starting, planned=planned)
         shared = [] if beside is None else shared_services(state)
         actions = [] if beside is None else shared_actions(state)
         hands_over = _hands_over(state, component, beside)
         goes_on = [*shared, *actions] if hands_over else []
         if shared and not goes_on and component.gate is not None:
-            yield verdicts.answered_by_both(name, shared, planned=planned)
+            yield change_facts.answered_by_both(name, shared, planned=planned)
         if goes_on and actions and planned:
-            yield verdicts.goals_go_on(name, actions, component.stop_times.patience)
+            yield change_facts.goals_go_on(name, actions, component.stop_times.patience)
         ending = [each.words for each in state.serves if each.words not in goes_on]
         if state.lifecycle_callers and not (hands_over and state.keeps_name):
-            ending.append(f"each of its lifecycle services (called by {verdicts.listed(state.lifecycle_callers)})")
+            ending.append(f"each of its lifecycle services (called by {assessment.listed(state.lifecycle_callers)})")
         if ending:
-            yield verdicts.ends_with(name, ending, planned=planned)
+            yield change_facts.ends_with(name, ending, planned=planned)
         if goes_on and beside is not None and beside.name != component.name:
-            yield verdicts.answered_if_offered(name, goes_on, planned=planned)
+            yield change_facts.answered_if_offered(name, goes_on, planned=planned)
         called += state.calls
     if called:
-        yield verdicts.calls_end_with(name, called, planned=planned)
+        yield change_facts.calls_end_with(name, called, planned=planned)
 
 
 def _hands_over(state: ComponentState, old: ComponentSpec, new: ComponentSpec | None) -> bool:
@@ -213,7 +214,7 @@ def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[
         if shared := shared_services(latest.state):
             drain = before.stop_times.drain
             yield (
-                f"{new} answers {verdicts.listed(shared)} once {old} has answered the requests that it has taken, "
+                f"{new} answers {assessment.listed(shared)} once {old} has answered the requests that it has taken, "
                 f"after {drain:g} s (`drain`) at the latest"
             )
 
@@ -253,18 +254,18 @@ def messages_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[
 
 def two_writers(
     role: str, known: LastKnown, old: ComponentSpec, new: ComponentSpec, together: float | None = None
-) -> Iterator[verdicts.Assessment]:
+) -> Iterator[Assessment]:
     """The topics without a port on which two instances of ``role`` write, or could, while both run.
 
     Where both have the preloaded library, these are what it does not hand over. A component with the API hands over its
     own topics to none without it, and does not say which of them it writes on.
     """
     if old.gate is None and new.gate is not None and (own := [e.name for e in known.endpoints if e.kind == "topic"]):
-        yield verdicts.two_writers(role, own, together, publishes=False)
+        yield change_facts.two_writers(role, own, together, publishes=False)
     if known.latest is None:
         return
     state, handed_over = known.latest.state, old.preloads and new.preloads
     written = [each.topic for each in state.undeclared if each.output and not (each.handed_over and handed_over)]
     one_name = state.keeps_name and old.loads_library and new.loads_library
     if shared := [topic for topic in written if one_name or not topic.startswith(f"{state.node}/")]:
-        yield verdicts.two_writers(role, shared, together)
+        yield change_facts.two_writers(role, shared, together)

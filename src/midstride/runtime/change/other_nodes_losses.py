@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from midstride import verdicts
 from midstride.model.action import Create, Remove
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 from midstride.runtime.backend_protocol import NAMES_ALL, OtherNode, OtherNodes
 from midstride.runtime.change.running_change import RunningChange
+from midstride.verdicts import change_facts
+from midstride.verdicts.assessment import Assessment
 
 # How to say on the command line, and in a request of the API, that they are meant too.
 OPTION = "--with-other-nodes"
@@ -40,19 +41,19 @@ def would_end_others(ending: Mapping[str, OtherNodes]) -> str | None:
     ) + (f". {NAMES_ALL}" if namesakes else "")
 
 
-def nodes_that_will_end(plan: Plan, ending: Mapping[str, OtherNodes]) -> Iterator[verdicts.Assessment]:
+def nodes_that_will_end(plan: Plan, ending: Mapping[str, OtherNodes]) -> Iterator[Assessment]:
     """Assess the end of other nodes, in the processes that ``plan`` is expected to end."""
     for name, others in sorted(ending.items()):
         successor = plan.change.replaced.get(name)
         for node in others.nodes:
-            yield verdicts.will_end_with(node.name, node.words, name, replaced=successor is not None)
+            yield change_facts.will_end_with(node.name, node.words, name, replaced=successor is not None)
         if others.unknown is not None:
-            yield verdicts.unknown_others(name, others.unknown)
+            yield change_facts.unknown_others(name, others.unknown)
 
 
 def nodes_that_ended(
     change: RunningChange, ended: Mapping[str, OtherNodes], now: Configuration, others: Mapping[str, OtherNodes]
-) -> Iterator[verdicts.Assessment]:
+) -> Iterator[Assessment]:
     """Assess what has become of the nodes that have ``ended`` with an instance while ``change`` was carried out.
 
     Also with one that it had started itself, and ended in its roll-back. ``others``: the other nodes of all that run.
@@ -66,7 +67,7 @@ def nodes_that_ended(
             found = next((pair for pair in back if _is_same(node, pair[0])), None)
             if found is not None:
                 back.remove(found)
-            yield verdicts.ended_with(
+            yield change_facts.ended_with(
                 node.name,
                 node.words,
                 name,
@@ -74,7 +75,7 @@ def nodes_that_ended(
                 planned=change.outcome == "done" or name in created,
             )
         if gone.unknown is not None:
-            yield verdicts.unknown_others(name, gone.unknown)
+            yield change_facts.unknown_others(name, gone.unknown)
 
 
 def _is_same(node: OtherNode, other: OtherNode) -> bool:

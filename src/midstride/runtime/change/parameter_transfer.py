@@ -31,7 +31,7 @@ from midstride.plan.runtime_values import (
 )
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.reported_values import ReportedValues
-from midstride.verdicts import seconds_in_words
+from midstride.verdicts.assessment import seconds_in_words
 from midstride.wire.commands import SetParametersCommand
 from midstride.wire.state import ComponentState
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from midstride import verdicts
 from midstride.model.action import Create, Handover, Remove
 from midstride.model.configuration import Configuration
 from midstride.model.specification import handover_seconds
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.records.reports import Outcome
+from midstride.verdicts import change_facts
+from midstride.verdicts.assessment import Assessment
 
 # An output that was silent for more than so many of its periods was late: one period is between any two messages.
 LATE: Final = 1.5
 
 
-def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[verdicts.Assessment]:
+def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[Assessment]:
     """Assess what waits while ``plan`` moves the state of nodes that offer it.
 
     ``states``: what each instance reported last.
@@ -46,31 +47,31 @@ def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator
             continue
         if len(kinds) == 2:
             because = f"one of {old} and {new} uses Midstride's API, and the other one does not"
-            yield verdicts.state_left_behind(old, new, because)
+            yield change_facts.state_left_behind(old, new, because)
         elif after.gate == "relay":
-            yield verdicts.state_left_behind(old, new, "behind `gate relay`, no state moves")
+            yield change_facts.state_left_behind(old, new, "behind `gate relay`, no state moves")
         elif old not in removed_first and "none" in (before.gate, after.gate):
             because = "with `gate none`, nothing holds a node back while its state moves; `--strategy paper` moves it"
-            yield verdicts.state_left_behind(old, new, because)
+            yield change_facts.state_left_behind(old, new, because)
         elif old not in removed_first:
             own = {connectors[swap.connector] for swap in swaps if swap.old.instance == old}
             topics = sorted(each.topic for each in own if each.kind == "topic")
             longest = handover_seconds(change.target.timing, "state_timeout")
-            yield verdicts.silent_for_state(old, new, topics, longest)
+            yield change_facts.silent_for_state(old, new, topics, longest)
 
 
-def states_behind_relays(plan: Plan) -> Iterator[verdicts.Assessment]:
+def states_behind_relays(plan: Plan) -> Iterator[Assessment]:
     """The nodes behind a relay that ``plan`` replaces, or has replaced: if they have state, it does not move."""
     for old, new in plan.change.replaced.items():
         before = plan.change.component_of(old)
         if before.gate == "relay" and not before.once:
-            yield verdicts.state_behind_relay(old, new)
+            yield change_facts.state_behind_relay(old, new)
 
 
-def silences_for_state(outcome: Outcome, now: Configuration) -> Iterator[verdicts.Assessment]:
+def silences_for_state(outcome: Outcome, now: Configuration) -> Iterator[Assessment]:
     """The silences of ``outcome``, after which ``now`` runs, that were longer than the periods of the outputs."""
     for new, moved in sorted(outcome.moved.items()):
         ports = [port for port, _ in now.attached_ports(new)] if new in now.instances else []
         rates = [rate for port in ports if (rate := now.rate(port))]
         if moved.silent is not None and rates and moved.silent > LATE / min(rates):
-            yield verdicts.was_silent_for_state(new, moved.words, moved.silent)
+            yield change_facts.was_silent_for_state(new, moved.words, moved.silent)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from midstride import verdicts
 from midstride.model.action import Create, Remove
 from midstride.model.configuration import Instance
 from midstride.model.instance_names import full_name
@@ -17,10 +16,12 @@ from midstride.plan.plan import Plan
 from midstride.runtime.backend_protocol import RELAY_SUFFIX
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.records.reports import StepTime
+from midstride.verdicts import change_facts
+from midstride.verdicts.assessment import Assessment
 from midstride.wire.state import ComponentState
 
 
-def names_after(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[verdicts.Assessment]:
+def names_after(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[Assessment]:
     """Assess which names of nodes ``plan`` changes. ``states``: the last reports of the nodes that it removes."""
     created, removed = steps_of_instances(plan)
     for old, new, state in _pairs(plan, states):
@@ -30,14 +31,12 @@ def names_after(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[verdi
             yield changed
         elif old_first:
             seconds = sum(step.seconds for step in plan.steps[removed[old.name] : created[new.name] + 1])
-            yield verdicts.unanswered_meanwhile(
+            yield change_facts.unanswered_meanwhile(
                 old.name, _node_of(old, state), new.name, seconds, planned=True, serves=_serves_at_once(new)
             )
 
 
-def names_now(
-    plan: Plan, states: Mapping[str, LatestState], times: Mapping[int, StepTime]
-) -> Iterator[verdicts.Assessment]:
+def names_now(plan: Plan, states: Mapping[str, LatestState], times: Mapping[int, StepTime]) -> Iterator[Assessment]:
     """Assess what became of the names of nodes in a change that is done.
 
     ``times``: by step, from 1, when it was carried out.
@@ -53,7 +52,7 @@ def names_now(
             yield changed
         elif old_first:
             seconds = up.began + up.seconds - end.began
-            yield verdicts.unanswered_meanwhile(
+            yield change_facts.unanswered_meanwhile(
                 old.name, _node_of(old, state), new.name, seconds, planned=False, serves=_serves_at_once(new)
             )
 
@@ -98,7 +97,7 @@ def _node_of(instance: Instance, state: ComponentState) -> str:
 
 def _another_name(
     old: Instance, new: Instance, state: ComponentState, *, old_first: bool, planned: bool
-) -> verdicts.Assessment | None:
+) -> Assessment | None:
     """Assess a replacement of another name; None where it has the name of the old one, or names its node itself.
 
     A component with the API has the name of its role.
@@ -108,7 +107,7 @@ def _another_name(
     if not old_first and both and state.keeps_name:
         return None
     if new.component.unnamed:
-        return None if old_first else verdicts.another_name(old.name, before, None, planned=planned)
+        return None if old_first else change_facts.another_name(old.name, before, None, planned=planned)
     if new.component.gate == "relay" or (not old_first and before == after and new.component.gate is not None):
         after = full_name(new.name)
-    return None if before == after else verdicts.another_name(old.name, before, after, planned=planned)
+    return None if before == after else change_facts.another_name(old.name, before, after, planned=planned)

@@ -21,7 +21,7 @@ from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import StateMove
 from midstride.runtime.records.state_store import LeftState
-from midstride.verdicts import seconds_in_words
+from midstride.verdicts.assessment import seconds_in_words
 from midstride.wire.commands import ImportStateCommand, PrepareStateCommand, StateTransfer
 from midstride.wire.replies import CutResult, MovedState
 

@@ -13,7 +13,7 @@ from midstride.runtime.records.disk import Database
 from midstride.runtime.records.journal_records import IN_FORCE
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.reports import OutcomeKind
-from midstride.verdicts import Assessments
+from midstride.verdicts.assessment import Assessments
 
 _COLUMNS: Final = f"number, at, command, by, total, {IN_FORCE} AS version, outcome, because, seconds, swaps"
 # What the report of a change says of its continuity, where it was recorded.

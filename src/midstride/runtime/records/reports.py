@@ -19,7 +19,7 @@ from midstride.plan.forms.step_forms import AnyStep
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.status_forms import RequirementStatus, SilenceFault
-from midstride.verdicts import Assessments
+from midstride.verdicts.assessment import Assessments
 from midstride.verify.verdict import Verdict
 
 OutcomeKind: TypeAlias = Literal["done", "incomplete", "refused", "rolled_back", "failed"]

@@ -12,7 +12,7 @@ from msgspec import UNSET, Meta, UnsetType
 from midstride.codec.form import Report
 from midstride.codec.parameter import ValueForm
 from midstride.plan.runtime_values import time_of
-from midstride.verdicts import SystemCondition
+from midstride.verdicts.conditions import SystemCondition
 
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
 UnixTime: TypeAlias = Annotated[float, Meta(description="seconds since 1970")]

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from midstride import verdicts
 from midstride.errors import MidstrideError
 from midstride.model.component import CANCELLING
 from midstride.model.configuration import Instance
@@ -22,6 +21,8 @@ from midstride.runtime.process.launcher import LastKnown, Launcher
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import killed_processes
 from midstride.runtime.restore.half_done_values import HalfDoneValues
+from midstride.verdicts import change_facts
+from midstride.verdicts.assessment import Assessment
 from midstride.wire.state import ComponentState
 
 # The kind of the event, which is an incident of the history.
@@ -59,7 +60,7 @@ class HalfDone:
         begun = clock.steady()
         if stays is not None and state.goals is not None and state.goals.in_progress:
             longest = instance.component.stop_times.patience + 3 * CANCELLING
-            self.events.add("note", verdicts.waits_for_goals(name, because, state.goals.in_progress, longest))
+            self.events.add("note", change_facts.waits_for_goals(name, because, state.goals.in_progress, longest))
         try:
             await self.launcher.end(name)
         except MidstrideError as error:
@@ -75,7 +76,7 @@ class HalfDone:
         lost = dict(sorted(state.set_values().items())) if values is None else await values.lost(state)
         found = [
             *_outputs(state, stays),
-            *([verdicts.values_lost(name, lost)] if lost else []),
+            *([change_facts.values_lost(name, lost)] if lost else []),
             *_unknown(instance, state, stays),
             *what_ended(
                 name,
@@ -85,26 +86,26 @@ class HalfDone:
                 new="this manager had just been started",
                 beside=None if other is None else other.component,
             ),
-            *(verdicts.managed_end(name, reasons) for reasons in [state.managed] if reasons),
+            *(change_facts.managed_end(name, reasons) for reasons in [state.managed] if reasons),
             *self._others(name),
             *(
-                verdicts.killed(each.instance, each.words, unfinished=each.unfinished)
+                change_facts.killed(each.instance, each.words, unfinished=each.unfinished)
                 for each in killed_processes(self.events.since(before))
             ),
         ]
         fates = [] if values is None else values.fates()
         rest = None if other is None else other.name
-        self.events.add(HALF_DONE, verdicts.ended_half_done(name, because, rest, seconds, found, fates))
+        self.events.add(HALF_DONE, change_facts.ended_half_done(name, because, rest, seconds, found, fates))
 
-    def _others(self, name: str) -> Iterator[verdicts.Assessment]:
+    def _others(self, name: str) -> Iterator[Assessment]:
         """The nodes that have ended with the process of an instance."""
         others = self.launcher.ended_with.get(name)
         if others is None:
             return
         for node in others.nodes:
-            yield verdicts.ended_with(node.name, node.words, name, again=None, planned=False)
+            yield change_facts.ended_with(node.name, node.words, name, again=None, planned=False)
         if others.unknown is not None:
-            yield verdicts.unknown_others(name, others.unknown)
+            yield change_facts.unknown_others(name, others.unknown)
 
 
 def _open(state: ComponentState | None) -> set[str]:
@@ -113,18 +114,18 @@ def _open(state: ComponentState | None) -> set[str]:
     return {topic for topics in ports.values() for topic, link in topics.items() if link.gate == "open"}
 
 
-def _outputs(state: ComponentState, stays: ComponentState | None) -> Iterator[verdicts.Assessment]:
+def _outputs(state: ComponentState, stays: ComponentState | None) -> Iterator[Assessment]:
     """Assess what is not known of the topics on which the instance wrote until it was ended."""
     wrote, still = _open(state), _open(stays)
     if alone := sorted(wrote - still):
-        yield verdicts.handed_back(state.instance, alone, None if stays is None else stays.instance)
+        yield change_facts.handed_back(state.instance, alone, None if stays is None else stays.instance)
     if stays is not None and (both := sorted(wrote & still)):
-        yield verdicts.both_wrote(state.instance, stays.instance, both)
+        yield change_facts.both_wrote(state.instance, stays.instance, both)
 
 
-def _unknown(instance: Instance, state: ComponentState, stays: ComponentState | None) -> Iterator[verdicts.Assessment]:
+def _unknown(instance: Instance, state: ComponentState, stays: ComponentState | None) -> Iterator[Assessment]:
     """Say what is unknown of the values that were set on the instance, and of the state that it has kept."""
     if (words := unread_parameters(instance, state)) is not None:
-        yield verdicts.values_unknown(instance.name, words)
+        yield change_facts.values_unknown(instance.name, words)
     if state.keeps_state:
-        yield verdicts.state_lost(instance.name, None if stays is None else stays.instance)
+        yield change_facts.state_lost(instance.name, None if stays is None else stays.instance)

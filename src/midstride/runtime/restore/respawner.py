@@ -12,7 +12,6 @@ import logging
 from dataclasses import dataclass, field
 from typing import Final
 
-from midstride import verdicts
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.wording import counted
 from midstride.plan.request import PlanRequest
@@ -24,6 +23,7 @@ from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.status_forms import RespawnStatus
 from midstride.runtime.restore.attempts import Attempts
 from midstride.runtime.running_system import RunningSystem
+from midstride.verdicts import conditions
 
 log = logging.getLogger(__name__)
 
@@ -125,7 +125,7 @@ class Respawner(ReconciliationObserver):
         number = record.attempts.lately(policy, self.clock.steady())
         if number < CRASH_LOOP:
             return None
-        return verdicts.crashes_again(role, number, policy.window, record.crashes[-1].details)
+        return conditions.crashes_again(role, number, policy.window, record.crashes[-1].details)
 
     def _policy(self, role: str) -> RespawnPolicy | None:
         node = self.system.specification.nodes.get(role)

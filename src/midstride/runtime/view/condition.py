@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from midstride import verdicts
 from midstride.runtime.records.status_forms import CrashedInstance, InstanceStatus, SilenceFault
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.watched_system import WatchedSystem
+from midstride.verdicts import conditions, unmeasured
+from midstride.verdicts.conditions import SystemCondition
 
 
 def condition(
@@ -16,7 +17,7 @@ def condition(
     crashed: Sequence[CrashedInstance],
     silences: Sequence[SilenceFault],
     violations: Sequence[str],
-) -> verdicts.SystemCondition:
+) -> SystemCondition:
     """Return what may be said of the system, whose ``instances`` are as in its status.
 
     While a role has two instances, as during a change, the one with fewer faults counts.
@@ -29,18 +30,18 @@ def condition(
         if known is None or (not instance.reachable, len(found)) < (not known[0].reachable, len(known[1])):
             best[instance.role] = instance, found
     gone = {each.role: each for each in crashed if each.role is not None}
-    faults = [verdicts.is_missing(each.role or each.name, each.words) for each in crashed if each.role not in best]
-    faults += [verdicts.does_not_run(role) for role in specification.roles() if role not in best and role not in gone]
-    faults += [verdicts.silence_in_words(fault.words, fault.seconds or None) for fault in silences]
+    faults = [conditions.is_missing(each.role or each.name, each.words) for each in crashed if each.role not in best]
+    faults += [conditions.does_not_run(role) for role in specification.roles() if role not in best and role not in gone]
+    faults += [assessment.silence_in_words(fault.words, fault.seconds or None) for fault in silences]
     faults += [words for role in sorted(best) for words in best[role][1]]
     faults += [words for role in sorted(best) if (words := watched.respawner.crash_loop(role)) is not None]
     components = {role: specification.component_of(role) for role in specification.roles()}
-    return verdicts.system_condition(
+    return conditions.system_condition(
         len(components),
         sum(role in best for role in components),
         [*faults, *violations],
         [
-            *verdicts.unmeasured_in_words({role: each for role, each in components.items() if role in best}),
+            *unmeasured.unmeasured_in_words({role: each for role, each in components.items() if role in best}),
             *(words for role in sorted(best) for words in unmeasured_bounds(watched.system, best[role][0].name)),
         ],
         answering=sum(best[role][0].reachable or best[role][0].done for role in components if role in best),
@@ -61,9 +62,9 @@ def unmeasured_bounds(system: RunningSystem, instance: str) -> Iterator[str]:
         if not serves or link is None or link.responses is not None or configuration.bound(port) is None:
             continue
         if gate == "none":
-            yield verdicts.bound_not_known(str(port), name, "nothing counts requests (`gate none`)")
+            yield unmeasured.bound_not_known(str(port), name, "nothing counts requests (`gate none`)")
         elif state.simulated_time:
-            yield verdicts.bound_not_known(str(port), name, "nothing that measures rates follows `/clock`")
+            yield unmeasured.bound_not_known(str(port), name, "nothing that measures rates follows `/clock`")
 
 
 def _faults(watched: WatchedSystem, instance: InstanceStatus) -> Iterator[str]:
@@ -72,11 +73,11 @@ def _faults(watched: WatchedSystem, instance: InstanceStatus) -> Iterator[str]:
         return
     baseline = watched.baseline()
     if instance.waiting is not None:
-        yield verdicts.waits(instance.name, instance.waiting)
+        yield conditions.waits(instance.name, instance.waiting)
     yield from instance.differences
     for each in instance.functionalities:
         if each.mode not in each.modes or each.modes.index(each.mode) > baseline.level(instance.role, each.name):
-            yield verdicts.is_in_mode(f"{instance.name}.{each.name}", each.mode)
+            yield conditions.is_in_mode(f"{instance.name}.{each.name}", each.mode)
     yield from _below_rate(instance, far=True)
 
 
@@ -84,5 +85,5 @@ def _below_rate(instance: InstanceStatus, *, far: bool) -> Iterator[str]:
     """The outputs that do not keep the rates that they guarantee: those ``far`` below, or the others."""
     for port in instance.ports if instance.reachable else ():
         below = port.direction == "out" and port.gate != "closed" and port.met is False
-        if below and verdicts.is_far_below(port.rate, port.declared) is far:
-            yield verdicts.writes_less(f"{instance.name}.{port.name}", port.rate, port.declared)
+        if below and conditions.is_far_below(port.rate, port.declared) is far:
+            yield conditions.writes_less(f"{instance.name}.{port.name}", port.rate, port.declared)

@@ -14,7 +14,7 @@ from midstride.model.rules import Evaluator
 from midstride.runtime.records.status_forms import Why
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.watched_system import WatchedSystem
-from midstride.verdicts import seconds_in_words, silence_in_words
+from midstride.verdicts.assessment import seconds_in_words, silence_in_words
 
 # A call of user code that takes so long (s) is named as what to do something about: longer than any that is planned.
 LONG_CALL: Final = 5.0

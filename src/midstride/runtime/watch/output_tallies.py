@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from midstride import verdicts
 from midstride.errors import MidstrideError
 from midstride.model.action import Action, Attach, Create, Handover
 from midstride.model.component import ComponentSpec, PortRef
@@ -19,6 +18,8 @@ from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.watch.subscriber_recording import Exchange, exchanges
+from midstride.verdicts import change_facts
+from midstride.verdicts.assessment import Assessment
 from midstride.wire.state import LinkState
 
 
@@ -75,12 +76,12 @@ class OutputTallies(ChangeObserver):
 
     async def assessments(
         self, last_numbers: Mapping[PortRef, int | None], received: Container[str] = (), *, resumed: bool
-    ) -> list[verdicts.Assessment]:
+    ) -> list[Assessment]:
         """Return what the counts show; ``resumed``: the change was rolled back, so the old sides write again.
 
         ``received``: the topics of which a subscriber in the system has recorded what it received.
         """
-        found: list[verdicts.Assessment] = []
+        found: list[Assessment] = []
         unanswered: dict[str, list[str]] = {}
         for each in self._begun:
             writer = each.exchange.old if resumed else each.exchange.new
@@ -95,7 +96,7 @@ class OutputTallies(ChangeObserver):
                 found += filter(
                     None, self._assessments(each, str(writer), link, passed, now, resumed, each.topic in received)
                 )
-        return [*found, *(verdicts.unanswered_outputs(name, topics) for name, topics in unanswered.items())]
+        return [*found, *(change_facts.unanswered_outputs(name, topics) for name, topics in unanswered.items())]
 
     def _assessments(
         self,
@@ -106,20 +107,20 @@ class OutputTallies(ChangeObserver):
         now: float,
         resumed: bool,
         is_received: bool,
-    ) -> Iterator[verdicts.Assessment | None]:
+    ) -> Iterator[Assessment | None]:
         if link.inactive is not None:
             seconds = link.inactive - ((begun.link.inactive or 0.0) if resumed else 0.0)
-            yield verdicts.inactive(begun.topic, writer, max(0.0, seconds), begun.rate)
+            yield change_facts.inactive(begun.topic, writer, max(0.0, seconds), begun.rate)
             if seconds > 0 and not is_received:
-                yield verdicts.written_by_lifecycle(begun.topic, writer)
+                yield change_facts.written_by_lifecycle(begun.topic, writer)
         elif begun.rate is not None and passed is None:
-            yield verdicts.not_counted(begun.topic, str(begun.exchange.old))
+            yield change_facts.not_counted(begun.topic, str(begun.exchange.old))
         elif begun.rate is not None and passed is not None:
             window = now - begun.at
-            lost = verdicts.written(begun.topic, writer, passed, window, begun.rate)
+            lost = change_facts.written(begun.topic, writer, passed, window, begun.rate)
             yield lost
             if lost is None and begun.only_counted and not is_received:
-                yield verdicts.silent_between_counts(begun.topic, writer, window, begun.rate)
+                yield change_facts.silent_between_counts(begun.topic, writer, window, begun.rate)
 
     def _passed(
         self, begun: _Begun, count: int, last_numbers: Mapping[PortRef, int | None], resumed: bool

@@ -17,7 +17,7 @@ from midstride.runtime.records.status_forms import (
 from midstride.runtime.view.instance_status import endpoints, namespace_of
 from midstride.runtime.view.status import topic_status
 from midstride.server.view.view_forms import VERSION, SystemView
-from midstride.verdicts import system_condition
+from midstride.verdicts.conditions import system_condition
 
 
 def modelled_view(configuration: Configuration, system: str, backend: str, at: float) -> SystemView:

@@ -25,7 +25,7 @@ from midstride.runtime.records.status_forms import (
     TopicStatus,
     UnixTime,
 )
-from midstride.verdicts import SystemCondition
+from midstride.verdicts.conditions import SystemCondition
 
 # The version of these forms. A later version may add fields; what is there keeps its meaning.
 VERSION: Final = 1

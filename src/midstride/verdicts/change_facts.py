@@ -1,119 +1,31 @@
-"""Everything that may be said about the work of a system: what was kept, what was lost, and what cannot be known here.
+"""The facts of a change, or of a plan, each as an assessment with its sentence.
 
-A plan, the report of a change, the status, the history and the exit status of a command say it through this module
-alone (docs/decisions/one-verdict.md). Facts go in: what was measured, what a gate or a hand-over enforces, and what
-nothing measures. Each becomes an assessment with its sentence, and the headline is the weakest of them: a system is
-only said to have kept its levels where something would have shown the contrary.
+What was measured, what a gate or a hand-over enforces, and what nothing measures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Final, Literal, TypeAlias
+from collections.abc import Mapping, Sequence
+from typing import Final
 
-from msgspec import Meta, structs
-
-from midstride.codec.form import Form
-from midstride.model.component import ComponentSpec
 from midstride.model.wording import LOST_AT_END, counted
+from midstride.verdicts.assessment import (
+    Assessment,
+    listed,
+    seconds_in_words,
+    sentences,
+    silence_in_words,
+    split_by_verdict,
+    time_in_words,
+)
+from midstride.verdicts.conditions import whether_kept
 
-Continuity: TypeAlias = Literal["kept", "not_measurable", "lost"]
-ConditionState: TypeAlias = Literal["up", "degraded", "down"]
-
-# The exit status of `up` and `status`: all is up, nothing runs, or something is missing or worse than it should be.
-EXIT_STATUS: Final[Mapping[ConditionState, int]] = {"up": 0, "down": 1, "degraded": 3}
 # A count of messages shows a silence only if more than this part of them is missing, and more than so many: the
 # tolerance of a rate, and what is uncertain at both ends of the count.
 MISSING_PART: Final = 0.1
 MISSING_LEAST: Final = 3
 # A silence that a count would not show is named where it may last longer than this (s).
 SHORT: Final = 0.5
-# An output that writes less than this part of the rate that it guarantees is a fault. One that writes more is named,
-# and no fault in itself: a busy machine may be the reason.
-FAULTY_PART: Final = 0.5
-# How many names a headline has.
-_NAMED: Final = 4
-
-
-class Assessment(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
-    """An assessment of the work of a functionality, an output or a node.
-
-    `lasting`: it is so afterwards, and no plan led there.
-    """
-
-    subject: str
-    verdict: Continuity
-    words: Annotated[str, Meta(description="the sentence, without a full stop")]
-    seconds: Annotated[float | None, Meta(description="for how long it was lost; null: not lost, or not known")] = None
-    lasting: bool = False
-    at_most: Annotated[bool, Meta(description="it was lost for no longer than `seconds`, and maybe for less")] = False
-
-
-class Assessments(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
-    """All that is known about the work of a system during a change. `verdict`: the weakest of them."""
-
-    verdict: Continuity
-    headline: str
-    found: list[Assessment]
-
-    @property
-    def in_short(self) -> str:
-        """``kept``, ``not measurable``, ``lost 1.20 s``, ``lost at most 1.20 s``: for a table."""
-        if self.verdict != "lost" or (longest := self.lost_seconds) is None:
-            return self.verdict.replace("_", " ")
-        return f"lost {_time(longest, at_most=all(each.at_most for each in self.found if each.seconds == longest))}"
-
-    @property
-    def lasting(self) -> bool:
-        """Return whether something is lost afterwards that no plan has asked for."""
-        return any(each.lasting for each in self.found)
-
-    @property
-    def lines(self) -> list[str]:
-        """All of it in sentences: what was lost, each for itself, and what is not measurable; else the headline."""
-        if self.verdict != "lost":
-            return [self.headline]
-        unknown = "Not measurable here: "
-        return [f"{'' if each.verdict == 'lost' else unknown}{each.words}." for each in self.found]
-
-    @property
-    def weakest(self) -> list[str]:
-        """The sentences that make its verdict the weakest that it is, where that is not `kept`."""
-        return [each.words for each in self.found if each.verdict == self.verdict]
-
-    @property
-    def lost_seconds(self) -> float | None:
-        """The longest time for which something was lost (s), or may have been; None where none is known."""
-        return max((each.seconds for each in self.found if each.seconds is not None), default=None)
-
-
-class SystemCondition(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
-    """The condition of a system: `degraded` where anything is missing or worse than it should be.
-
-    It is about the components. Whether a configuration is valid is a word about the manager's model.
-    """
-
-    state: ConditionState
-    headline: str
-    faults: Annotated[list[str], Meta(description="what is missing or worse than it should be")] = []
-    unknown: Annotated[list[str], Meta(description="what is not measurable here")] = []
-    slow: Annotated[list[str], Meta(description="outputs somewhat below the rates that they guarantee: no faults")] = []
-
-    @property
-    def besides(self) -> str:
-        """The rest of the headline: rates, and what is not measurable."""
-        rates = [f"below its rate: {_some(self.slow)}"] if self.slow else []
-        return "; ".join([*rates, *([f"not measurable here: {'; '.join(self.unknown)}"] if self.unknown else [])])
-
-
-def seconds_in_words(value: float) -> str:
-    """A duration with three significant digits or so."""
-    if value >= 10:
-        return f"{value:.1f} s"
-    return f"{value:.2f} s" if value >= 1 else f"{value * 1000:.0f} ms"
-
-
-# -- the facts of a change, each as an assessment -----------------------------------------------------------------
 
 
 def below_level(functionality: str, seconds: float, *, unmeasured: bool = False, at_most: bool = False) -> Assessment:
@@ -125,7 +37,7 @@ def below_level(functionality: str, seconds: float, *, unmeasured: bool = False,
     if unmeasured:
         words = f"{functionality} was below its level, for how long is not known: nothing counts what its node writes"
         return Assessment(functionality, "lost", words)
-    words = f"{functionality} was below its level for {_time(seconds, at_most=at_most)}"
+    words = f"{functionality} was below its level for {time_in_words(seconds, at_most=at_most)}"
     return Assessment(functionality, "lost", words, seconds, at_most=at_most)
 
 
@@ -183,7 +95,7 @@ def inactive(topic: str, port: str, seconds: float, rate: float | None) -> Asses
     """
     if seconds <= (1 / rate if rate else 0.0):
         return None
-    time = _time(seconds, at_most=True)
+    time = time_in_words(seconds, at_most=True)
     words = f"{topic} was silent while no node that writes {port} was active, for {time}, and until it wrote again"
     return Assessment(topic, "lost", words, round(seconds, 6), at_most=True)
 
@@ -234,7 +146,7 @@ def not_counted(topic: str, port: str) -> Assessment:
 def just_started(ports: Sequence[str]) -> Assessment:
     """Outputs whose components have just been started: no rate has been measured over a whole window."""
     they = "it has" if len(ports) == 1 else "they have"
-    return Assessment(listed(ports), "not_measurable", f"{_whether_kept(ports)}: {they} just been started")
+    return Assessment(listed(ports), "not_measurable", f"{whether_kept(ports)}: {they} just been started")
 
 
 def unanswered_outputs(instance: str, topics: Sequence[str]) -> Assessment:
@@ -248,28 +160,6 @@ def killed(instance: str, words: str, *, unfinished: bool = False) -> Assessment
     ``unfinished``: it was not, and ``words`` are what it has said itself of what it has left undone.
     """
     return Assessment(instance, "not_measurable", words if unfinished else f"{words}: {LOST_AT_END}")
-
-
-def unmeasured_exchange(
-    role: str, because: str, *, down: float | None = None, together: float | None = None, done: bool = True
-) -> Assessment:
-    """A node of which nothing measures what it does was started and ended.
-
-    ``down``: how long it took from when the one was asked to end until the process of the other was started (s); they
-    did not run at once. ``together``: for how long both ran. None: not known.
-    """
-    words = f"what {role} does: {because}"
-    if down is not None and down > 0:
-        time = f"exchanged within {seconds_in_words(down)}, and when its new program had started up is not known"
-        return Assessment(role, "lost", f"{role} was down, for how long is not known: {time}. {words}")
-    if together is not None and done:
-        words += f". It was never down: both instances ran for {seconds_in_words(together)}"
-    return Assessment(role, "not_measurable", words)
-
-
-def unmeasured_others(roles: Sequence[str], because: str) -> Assessment:
-    """Nodes that a change leaves alone, of which nothing measures whether they go on with their work."""
-    return Assessment(listed(roles), "not_measurable", f"what {listed(roles)} {_do(roles)}: {because}")
 
 
 def ends_with(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
@@ -419,9 +309,6 @@ def two_writers(
     return Assessment(role, "not_measurable", words)
 
 
-# -- what a manager has ended that an earlier one had left half done ---------------------------------------------------
-
-
 def ended_half_done(
     instance: str,
     because: str,
@@ -437,11 +324,11 @@ def ended_half_done(
     rest = "nothing of its role goes on" if goes_on is None else f"{goes_on} goes on"
     words = [f"stopped {instance}, {because}, within {seconds_in_words(seconds)}; {rest}"]
     words += values
-    lost, unknown = _split(found)
+    lost, unknown = split_by_verdict(found)
     if lost:
-        words.append(f"lost: {_sentences(lost)}")
+        words.append(f"lost: {sentences(lost)}")
     if unknown:
-        words.append(f"not measurable here: {_sentences(unknown)}")
+        words.append(f"not measurable here: {sentences(unknown)}")
     if not found:
         words.append("it wrote on no topic of a port, and nothing is known to have been lost with it")
     return "; ".join(words)
@@ -541,188 +428,5 @@ def will_be_exchanged(role: str, because: str, *, side_by_side: bool, seconds: f
     return Assessment(role, "lost", f"{words}; what it does is not measurable here: {because}")
 
 
-# -- the headlines -------------------------------------------------------------------------------------------------
-
-
-def assessed(found: Iterable[Assessment | None]) -> Assessments:
-    """Return what may be said of a change that has been carried out."""
-    known = [each for each in found if each is not None]
-    if not known:
-        return Assessments("kept", "Nothing fell below its level.", [])
-    lost, unknown = _split(known)
-    if not lost:
-        headline = f"Nothing is known to have fallen below its level. Not measurable here: {_sentences(unknown)}."
-        return Assessments("not_measurable", headline, known)
-    times = [f"{each.subject}{_for(each)}" for each in lost]
-    besides = f"; {len(unknown)} not measurable here" if unknown else ""
-    return Assessments("lost", f"Lost: {_some(times)}{besides}.", known)
-
-
-def expected(found: Iterable[Assessment | None]) -> Assessments:
-    """Return what may be said of a plan."""
-    known = [each for each in found if each is not None]
-    if not known:
-        words = "Nothing degrades: every functionality that remains keeps its level throughout."
-        return Assessments("kept", words, [])
-    lost, unknown = _split(known)
-    if not lost:
-        headline = f"Nothing is known to degrade. Not measurable here: {_sentences(unknown)}."
-        return Assessments("not_measurable", headline, known)
-    return Assessments("lost", f"Lost on the way: {_some([each.subject for each in lost])}.", known)
-
-
-def system_condition(
-    nodes: int,
-    running: int,
-    faults: Sequence[str],
-    unknown: Sequence[str] = (),
-    *,
-    answering: int | None = None,
-    slow: Sequence[str] = (),
-) -> SystemCondition:
-    """Return what may be said of a system of so many ``nodes``, of which ``running`` have an instance that runs.
-
-    ``answering`` of them answer, if not all of them do. ``faults``: what is missing or worse than it should be.
-    """
-    if nodes and not running:
-        return SystemCondition("down", f"down: none of its {counted(nodes, 'node')} runs", [*faults], [*unknown])
-    run = f"{running} of {counted(nodes, 'node')} {'run' if nodes != 1 else 'runs'}"
-    if running == nodes:
-        run = f"all {nodes} nodes run" if nodes > 1 else "its node runs" if nodes else "it has no nodes"
-    if answering is not None and answering < running:
-        run += f", {running - answering} of them without an answer"
-    reasons = f": {_some(faults)}" if faults else ""
-    state: ConditionState = "degraded" if faults or running < nodes else "up"
-    found = SystemCondition(state, f"{state}, {run}{reasons}", [*faults], [*unknown], [*slow])
-    return structs.replace(found, headline=f"{found.headline}; {found.besides}") if found.besides else found
-
-
-def is_missing(role: str, because: str) -> str:
-    """An instance of ``role`` has exited without being asked to, or could not be started, ``because`` of what."""
-    if not because:
-        return f"{role} does not run any more"
-    return because if because.startswith(role) else f"{role}: {because}"
-
-
-def crashes_again(role: str, number: int, window: float, because: str) -> str:
-    """A node that runs has been restarted so often in the last ``window`` (s) during which it ran."""
-    return f"{role} has been restarted {number} times in {window:g} s of running, the last time as {because}"
-
-
-def does_not_run(role: str) -> str:
-    """A node of the specification has no instance, and none has exited: it is started by hand, or not yet."""
-    return f"{role} does not run"
-
-
-def waits(instance: str, reason: str) -> str:
-    """An instance waits, as for the clock of a simulation."""
-    return f"{instance} is waiting: {reason}"
-
-
-def is_in_mode(functionality: str, mode: str) -> str:
-    """A functionality is in a worse mode than the specification provides."""
-    return f"{functionality} is in mode {mode}"
-
-
-def writes_less(port: str, rate: float | None, declared: float | None) -> str:
-    """An output does not keep the rate (Hz) that it guarantees, as measured over a whole window."""
-    found = "nothing" if not rate else f"{rate:.3g} Hz"
-    return f"{port} writes {found}, and guarantees {declared or 0.0:.3g} Hz"
-
-
-def is_far_below(rate: float | None, declared: float | None) -> bool:
-    """Return whether an output writes so little of the rate (Hz) that it guarantees that this is a fault."""
-    return (rate or 0.0) < FAULTY_PART * (declared or 0.0)
-
-
-def not_yet_judged(ports: Sequence[str]) -> str:
-    """Outputs whose rates have not been measured over a whole window yet."""
-    return f"Not known yet: {_whether_kept(ports)}"
-
-
-def _whether_kept(ports: Sequence[str]) -> str:
-    return f"whether {listed(ports)} {'keeps its rate' if len(ports) == 1 else 'keep their rates'}"
-
-
-def silence_in_words(words: str, seconds: float | None) -> str:
-    """Return what is silent, and for how long (s)."""
-    return words if seconds is None else f"{words} (for {seconds_in_words(seconds)})"
-
-
-def why_unmeasured(component: ComponentSpec) -> str | None:
-    """Why nothing measures what a node of ``component`` does; None where a gate, a page or its own agent does.
-
-    Of a program that ends, its exit status says that its work is done.
-    """
-    if component.gate is None or component.once:
-        return None
-    if not component.ports():
-        return "no ports are stated"
-    if len(component.service_ports()) == len(component.ports()):
-        return "nothing counts requests to services"
-    if not component.counts_messages and not component.has_lifecycle:
-        return f"nothing counts messages (`gate {component.gate}`)"
-    return None
-
-
-def bound_not_known(server: str, name: str, because: str) -> str:
-    """Return that nothing shows whether a server answers as it promises: ``name`` is that of its service."""
-    return f"whether {server} answers on {name} in time ({because})"
-
-
-def unmeasured_in_words(components: Mapping[str, ComponentSpec]) -> list[str]:
-    """The nodes of which nothing measures what they do, one text for each reason; by role, their components."""
-    return [f"what {listed(roles)} {_do(roles)} ({because})" for because, roles in _unmeasured(components).items()]
-
-
-def unmeasured_nodes(components: Mapping[str, ComponentSpec]) -> list[Assessment]:
-    """One assessment for each reason why nothing measures what nodes do; by role, their components."""
-    return [unmeasured_others(roles, because) for because, roles in _unmeasured(components).items()]
-
-
-def _unmeasured(components: Mapping[str, ComponentSpec]) -> dict[str, list[str]]:
-    """The roles of which nothing measures what their nodes do, by the reason."""
-    found: dict[str, list[str]] = {}
-    for role, component in sorted(components.items()):
-        if (because := why_unmeasured(component)) is not None:
-            found.setdefault(because, []).append(role)
-    return found
-
-
-def listed(words: Sequence[str]) -> str:
-    """``a, b and c``"""
-    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
-
-
 def _is(words: Sequence[str]) -> str:
     return "was" if len(words) == 1 else "were"
-
-
-def _do(roles: Sequence[str]) -> str:
-    return "does" if len(roles) == 1 else "do"
-
-
-def _split(found: Sequence[Assessment]) -> tuple[list[Assessment], list[Assessment]]:
-    lost = [each for each in found if each.verdict == "lost"]
-    return lost, [each for each in found if each.verdict == "not_measurable"]
-
-
-def _sentences(unknown: Sequence[Assessment]) -> str:
-    return "; ".join(each.words for each in unknown)
-
-
-def _for(lost: Assessment) -> str:
-    if lost.seconds is None:
-        return ""
-    # When the first message came after that, nothing counts.
-    until = " until a node was active again," if lost.at_most else " for"
-    return f"{until} {_time(lost.seconds, at_most=lost.at_most)}"
-
-
-def _time(seconds: float, *, at_most: bool) -> str:
-    return f"{'at most ' if at_most else ''}{seconds_in_words(seconds)}"
-
-
-def _some(words: Sequence[str]) -> str:
-    more = len(words) - _NAMED
-    return ", ".join(words[:_NAMED]) + (f" and {more} more" if more > 0 else "")
