@@ -6,11 +6,10 @@ each component that can be reached.
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 from immutables import Map
 
@@ -30,11 +29,12 @@ from midstride.model.action import (
 )
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.specification import FEWEST_PERIODS, handover_seconds
+from midstride.model.specification import handover_seconds
 from midstride.plan.state_continuity import left_behind, without_outputs
 from midstride.runtime.backend_protocol import Backend
-from midstride.runtime.cancellation import all_of
+from midstride.runtime.change import answering_roles
 from midstride.runtime.change.change_phases import ChangePhase
+from midstride.runtime.change.handover_watch import watch_new_publishers
 from midstride.runtime.change.managed_nodes import require_unmanaged_at_its_end
 from midstride.runtime.change.mode_changes import ModeChanges
 from midstride.runtime.change.parameter_settings import ParameterSettings
@@ -43,13 +43,6 @@ from midstride.runtime.handover.cut_turns import CutTurn, only_turn
 from midstride.runtime.handover.fences import Fences, StepBudget
 from midstride.runtime.handover.live_handover import LiveHandover
 from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIMEOUT
-from midstride.runtime.handover.probation import (
-    WATCHED_WINDOW,
-    WatchedOutput,
-    WatchedServer,
-    watch_after,
-    watch_servers_after,
-)
 from midstride.runtime.handover.state_moves import StateMoves
 from midstride.runtime.handover.state_transfers import (
     StateTransfers,
@@ -67,17 +60,10 @@ from midstride.runtime.records.reports import StateMove
 from midstride.runtime.records.state_store import LeftState
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.observed_configuration import own_degradations_in
-from midstride.runtime.watch.simulated_time import stretch_of
 from midstride.wire import commands
 from midstride.wire.commands import Command
 
 R = TypeVar("R")
-
-# The rates of a brief change are judged over so long (s), or five periods, where that is not longer than the second;
-# and they are watched for so many times as long, where the specification does not say.
-BRIEF_WINDOW: Final = 0.5
-LONGEST_BRIEF_WINDOW: Final = 2.0
-BRIEF_WATCH: Final = 1.2
 
 
 @dataclass(slots=True)
@@ -273,13 +259,13 @@ class ActionDriver:
                     component = self.configuration.component(instance)
                     if not await require_unmanaged_at_its_end(self.client, instance, component):
                         self.unseen.add(instance)
-                await self._change_answering(instance, runs=True)
+                await self._successor_answers(instance, runs=True)
                 await self._remove(action, budget)
-                await self._change_answering(instance, runs=False)  # if it did not respond
+                await self._successor_answers(instance, runs=False)  # if it did not respond
             case Remove(instance):
                 if instance in self._keeping and not self.rolling_back:
                     self._state_lost(instance, f"{instance} had exited")
-                await self._change_answering(instance, runs=False)
+                await self._successor_answers(instance, runs=False)
             case Attach(port, connector) if not self._has_endpoint(port, connector):
                 await self._attach(action)
             case Detach(port, connector) if self._serves_on(port, connector):
@@ -296,7 +282,7 @@ class ActionDriver:
         if configuration.component(port.instance).gate is None:
             return False
         ends = self.rolling_back or port.instance in self.change.leaving or self.system.life.is_gone(port.instance)
-        return self._serves(port, connector) and not ends
+        return answering_roles.serves(configuration, port, connector) and not ends
 
     def _require_successor(self, leaving: str) -> None:
         """Raises StepFailed if what replaces an instance without taking over a topic has exited already.
@@ -385,43 +371,12 @@ class ActionDriver:
         if new is not None and new not in self.configuration.instances and leaving in self._keeping:
             self.own_state[new] = own_state(leaving, new, because)
 
-    async def _answer_where_none_serves(self, instance: str) -> None:
-        """Have a new server answer where no other instance of its role serves: nothing is handed over to it then.
+    async def _successor_answers(self, leaving: str, runs: bool) -> None:
+        await answering_roles.have_others_answer(self.client, self.events, self.configuration, leaving, runs)
 
-        Where the state of that instance moves to it, it answers from then on: all requests to the node are answered by
-        one of the two, and what they change would be lost. So it is also where that is removed first.
-        """
-        role = self.configuration.instances[instance].role
-        for other in self.configuration.instances_of(role):
-            attached = [port for port, key in self.configuration.attached_ports(other.name) if self._serves(port, key)]
-            moves = other.name in self._keeping and self.change.plan.change.replaced.get(other.name) == instance
-            if other.name == instance or attached or (moves and not self.rolling_back):
-                continue
-            runs = not self.system.life.is_gone(other.name)
-            try:
-                left = await have_answer(
-                    self.client, instance, other.name if runs else None, other.component.stop_times.drain
-                )
-                if left is not None:
-                    self.events.add("note", left)
-            except MidstrideError as error:
-                self.events.add("note", f"{instance} does not answer requests to {role} yet: {error}")
-
-    def _serves(self, port: PortRef, connector: str) -> bool:
-        return self.configuration.is_output(port) and not self.configuration.is_topic(connector)
-
-    async def _change_answering(self, leaving: str, runs: bool) -> None:
-        """If another instance has the role of one that leaves, have it answer requests from now on."""
-        role = self.configuration.instances[leaving].role
-        drain = self.configuration.component(leaving).stop_times.drain
-        for other in self.configuration.instances_of(role):
-            if other.name != leaving and not self.system.life.is_gone(other.name):
-                try:
-                    left = await have_answer(self.client, other.name, leaving if runs else None, drain)
-                    if left is not None:
-                        self.events.add("note", left)
-                except MidstrideError as error:
-                    self.events.add("note", f"{other.name} does not answer requests to {role}: {error}")
+    def _moving_states(self) -> dict[str, str]:
+        """The instances whose state moves to that which replaces them, and that."""
+        return {old: new for old, new in self.change.plan.change.replaced.items() if old in self._keeping}
 
     async def _import_state(self, instance: Instance, left: LeftState) -> None:
         lenient = self.rolling_back or instance.role in self._left
@@ -452,7 +407,8 @@ class ActionDriver:
             detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
             await self._or_undo(port.instance, attach, detach)
             if output:
-                await self._answer_where_none_serves(port.instance)
+                moving = {} if self.rolling_back else self._moving_states()
+                await answering_roles.have_first_answer(self.client, self.events, configuration, port.instance, moving)
             return
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self.system.life.is_gone(other.instance) for other in others)
@@ -542,65 +498,15 @@ class ActionDriver:
         self.moved |= states.moved
 
     async def watch(self, action: Action) -> None:
-        """After a hand-over, watch the new publishers for as long as the specification says; the old ones stay warm.
-
-        Those of a brief change are watched for a while by default, until the next command waits; servers only where the
-        specification says for how long. Raises StepFailed if one breaks what it guarantees.
-        """
+        """After a hand-over, watch the new publishers; see :func:`watch_new_publishers`. Raises StepFailed."""
         if not isinstance(action, Handover):
             return
-        timing = self.change.target.timing
-        swaps = [swap for swap in action.swaps if self.configuration.is_topic(swap.connector)]
-        servers = [
-            WatchedServer(swap.new, self.configuration.topic(swap.connector))
-            for swap in action.swaps
-            if swap not in swaps and self.configuration.bound(swap.new) is not None
-        ]
-        by_default = self.change.brief and "probation" not in timing and "watch_after" not in timing
-        rates = {swap.new: self._rate(swap.new) for swap in swaps}
-        seconds, shortest = handover_seconds(timing, "watch_after"), WATCHED_WINDOW
-        if by_default:
-            rates = {port: rate for port, rate in rates.items() if rate * LONGEST_BRIEF_WINDOW >= FEWEST_PERIODS}
-            shortest = BRIEF_WINDOW
-            windows = [max(shortest, FEWEST_PERIODS / rate) for rate in rates.values()]
-            seconds = BRIEF_WATCH * max(windows, default=0.0)
-        if not seconds or not (swaps or servers):
-            return
-        outputs = sorted(
-            {
-                WatchedOutput(swap.new, swap.old, self.configuration.topic(swap.connector), rates.get(swap.new, 0.0))
-                for swap in swaps
-            }
-        )
-        watched = ", ".join(map(str, [*(each.port for each in outputs), *(each.port for each in servers)]))
-        self.events.add("watching", f"watching {watched} for {seconds:g} s")
-        slowest = max((stretch_of(self.client, each.port.instance) for each in outputs), default=1.0)
-        watching = asyncio.ensure_future(self._watch_all(outputs, servers, seconds, slowest, shortest))
         try:
-            await self.change.unless_hurried(watching, by_default)
+            await watch_new_publishers(self.client, self.events, self.change, self.configuration, action)
         except StepFailed as error:
             if degradations := await self._own_degradations(action):
                 raise StepFailed("; ".join(degradations)) from error
             raise
-
-    async def _watch_all(
-        self,
-        outputs: Sequence[WatchedOutput],
-        servers: Sequence[WatchedServer],
-        seconds: float,
-        stretch: float,
-        shortest: float,
-    ) -> None:
-        await all_of(
-            [
-                watch_after(self.client, outputs, seconds, stretch, shortest),
-                watch_servers_after(self.client, servers, seconds),
-            ]
-        )
-
-    def _rate(self, port: PortRef) -> float:
-        """The rate that an output guarantees (Hz), or 0."""
-        return self.configuration.rate(port) or 0.0
 
     async def _carry_parameters(self, old: str, new: str) -> None:
         if not self.rolling_back:

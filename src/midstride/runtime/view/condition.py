@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from midstride.runtime.records.status_forms import CrashedInstance, InstanceStatus, SilenceFault
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view.watched_system import WatchedSystem
-from midstride.verdicts import conditions, unmeasured
+from midstride.verdicts import assessment, conditions, unmeasured
 from midstride.verdicts.conditions import SystemCondition
 
 
