@@ -23,6 +23,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.acceptance.support import ended
+
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "midstride"
 PAGES = sorted(
@@ -41,6 +43,16 @@ ON_ROS_2 = {
 # With tens of processes of ROS 2.
 LARGE = {"docs/how-to/nav2.md"}
 RUN = {"sh", "python", "text", "json"}
+# Plain rclpy may hang at its end: then it is killed (s), as a user does, and no later page has its nodes.
+GIVEN_UP = 10
+KILL = f"""kill() {{
+    command kill "$1"
+    (
+        for i in $(seq {GIVEN_UP * 10}); do command kill -0 "$1" || exit 0; sleep 0.1; done
+        command kill -9 "$1"
+    ) > /dev/null 2>&1 &
+}}
+"""
 
 
 @dataclass(frozen=True)
@@ -115,7 +127,8 @@ class Session:
                 assert line in seen, f"line {snippet.line}: {line!r} was not printed, but:\n{self.printed}"
             self.printed = ""
         elif snippet.language == "sh":
-            self._do(["sh", "-eu", "-c", without_make(snippet)], snippet)
+            commands = without_make(snippet)
+            self._do(["sh", "-eu", "-c", KILL + commands if "kill " in commands else commands], snippet)
         elif snippet.language == "python":
             self._do([sys.executable, "-c", snippet.text], snippet)
 
@@ -146,13 +159,14 @@ class Session:
 def play(page: Path, backend: str) -> None:
     folder = Path(tempfile.mkdtemp(prefix="ms"))  # sockets have short paths
     session = Session(folder, backend)
-    try:
-        for snippet in snippets(page):
-            session.run(snippet)
-        assert session.close() == []
-    finally:
-        session.close()
-        shutil.rmtree(folder, ignore_errors=True)
+    with ended():
+        try:
+            for snippet in snippets(page):
+                session.run(snippet)
+            assert session.close() == []
+        finally:
+            session.close()
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def name_of(page: Path) -> str:
@@ -184,6 +198,19 @@ def test_every_snippet_runs(page: Path) -> None:
 @pytest.mark.long
 def test_the_readme_runs_on_ros_2() -> None:
     play(ROOT / "README.md", "ros2")
+
+
+def test_a_process_that_does_not_end_when_a_page_ends_it_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(globals(), "KILL", KILL.replace(f"seq {GIVEN_UP * 10}", "seq 2"))
+    page = tmp_path / "page.md"
+    ignores = "sh -c 'trap \"\" TERM; echo ready; while :; do sleep 0.1; done' > said &\nchild=$!"
+    ready = "until grep -q ready said; do sleep 0.01; done"
+    page.write_text(
+        f"```sh\n{ignores}\n{ready}\nkill $child && wait $child || echo status $?\n```\n```text\nstatus 137\n```\n"
+    )
+    play(page, "sim")
 
 
 def test_a_snippet_that_is_wrong_fails(tmp_path: Path) -> None:
