@@ -118,7 +118,8 @@ class Probation:
         if not seen.gated:
             because = await self.waits_for(new.instance)
             raise StepFailed(
-                f"{new} has written nothing within {timeout:.3g} s, so it cannot take over{because}{self._lost}"
+                f"{new} has written nothing within {timeout:.3g} s, so it cannot take over{self._beside}"
+                f"{because}{self._lost}"
             )
 
     async def _keep_rate(self, first: Awaitable[None]) -> None:
@@ -160,19 +161,23 @@ class Probation:
     async def _compare(self) -> Passed | None:
         """Wait until neither side writes, or the old one does not keep the rate and the new one writes no less.
 
-        None if that is not to be known, or does not suffice.
+        None if the old one has exited, or what it has written last would be lost. Where one of them does not answer in
+        time, nothing is known of that while.
         """
         judged = max(self._window or (FEWEST_PERIODS / self.rate if self.rate else 0.0), QUIET)
         silent = slow = 0.0
-        try:
-            before = await self._written()
-            while True:
-                await self.client.clock.sleep(judged * self._stretch)
-                written = await self._written()
-                if self.client.life.is_gone(self.swap.old.instance):
-                    return None
+        before: tuple[int, int] | None = None
+        while True:
+            try:
+                written: tuple[int, int] | None = await self._written()
+            except MidstrideError:
+                written = None
+            if self.client.life.is_gone(self.swap.old.instance):
+                return None
+            if before is None or written is None:
+                silent = slow = 0.0
+            else:
                 old, new = (now - earlier for now, earlier in zip(written, before, strict=True))
-                before = written
                 silent = 0.0 if old or new else silent + judged
                 if silent >= QUIET:
                     return "quiet" if self._loses_nothing(*written) else None
@@ -181,8 +186,8 @@ class Probation:
                 slow = slow + judged if as_slow else 0.0
                 if self._window and slow >= SLOW:
                     return "writes"
-        except MidstrideError:
-            return None
+            before = written
+            await self.client.clock.sleep(judged * self._stretch)
 
     def _loses_nothing(self, old: int, new: int) -> bool:
         """Return whether the new side may take over without a message; ``old`` and ``new`` are how many the sides have
