@@ -259,6 +259,7 @@ comp.start()
 """
 
 
+@pytest.mark.full
 def test_an_endpoint_that_is_not_allowed_is_named_and_the_system_is_as_it_was(tmp_path: Path) -> None:
     script = tmp_path / "undeclared.py"
     script.write_text(UNDECLARED)

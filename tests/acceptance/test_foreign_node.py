@@ -76,6 +76,7 @@ print(json.dumps([called, set_, published]))
 """
 
 
+@pytest.mark.full
 def test_nothing_that_comes_by_ros_changes_a_component(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):

@@ -10,6 +10,7 @@ import pytest
 from tests.cli.conftest import EXAMPLES, Midstride
 
 
+@pytest.mark.full
 def test_a_component_of_the_changed_file_is_named_with_the_way_to_get_it(
     midstride: Midstride, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -239,6 +239,7 @@ def test_down_that_is_interrupted_says_what_the_manager_does(
     until(lambda: "no system is running" in midstride("status").err)
 
 
+@pytest.mark.full
 def test_down_that_waits_for_a_change_and_is_interrupted_says_so(
     midstride: Midstride, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,6 +22,7 @@ def words_of(text: str) -> str:
     return " ".join(text.split())
 
 
+@pytest.mark.full
 def test_every_command_that_changes_the_system_is_refused_and_says_why(talker: Midstride) -> None:
     locked = talker("lock", "--reason", "the brake is held", "--by", "alice", "--for", "2h")
     assert (locked.status, locked.err) == (0, "")

@@ -81,6 +81,7 @@ def tuned(folder: Path) -> Iterator[Midstride]:
         yield midstride
 
 
+@pytest.mark.full
 def test_values_that_are_not_finite_are_shown_set_and_kept(midstride: Midstride, folder: Path) -> None:
     file = str(folder / "tuned.json")
     up = midstride("up", file, "--backend", "sim", "--detach")

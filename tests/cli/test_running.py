@@ -101,6 +101,7 @@ def test_status_verbose_shows_how_each_component_was_started_and_what_is_set(tal
     assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)
 
 
+@pytest.mark.full
 def test_a_system_in_a_folder_whose_name_is_no_utf_8_runs(midstride: Midstride, tmp_path: Path) -> None:
     folder = tmp_path / os.fsdecode(b"f\xfcnf")
     shutil.copytree(EXAMPLES / "talker", folder)
@@ -341,6 +342,7 @@ def test_a_client_that_is_interrupted_says_that_the_change_goes_on(talker: Midst
     await_change(talker, begun=False)
 
 
+@pytest.mark.full
 def test_a_client_whose_reader_goes_says_that_the_change_goes_on(talker: Midstride, tmp_path: Path) -> None:
     errors = tmp_path / "errors"
     with errors.open("w") as file:

@@ -224,6 +224,7 @@ def test_one_that_hangs_is_fenced(tmp_path: Path, programs: Path, gate_library: 
     asyncio.run(scenario())
 
 
+@pytest.mark.full
 def test_one_that_hangs_on_a_clock_that_moves_is_fenced(
     tmp_path: Path, programs: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

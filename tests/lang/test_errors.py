@@ -229,7 +229,17 @@ HOSTILE = {
 }
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+# Those that take seconds.
+SLOW = (
+    "many guarantees|like upon like|unknown contracts|many orders|one long line|unknown names|many constraints".split(
+        "|"
+    )
+)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.full] if name in SLOW else []) for name in HOSTILE]
+)
 def test_hostile_texts_take_limited_time_and_space(name: str) -> None:
     start = time.process_time()
     loaded = load_text(HOSTILE[name], "t.stride")

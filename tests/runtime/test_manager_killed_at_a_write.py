@@ -270,7 +270,10 @@ def killed_once(
         pytest.param("both exchanged", marks=pytest.mark.full),
     ],
 )
-@pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
+@pytest.mark.parametrize(
+    "finish",
+    [pytest.param(False, id="rolled back"), pytest.param(True, id="finished", marks=pytest.mark.full)],
+)
 def test_the_next_manager_leaves_a_whole_system(name: str, finish: bool, tmp_path: Path) -> None:
     outcomes = killed_at_each_write(Case(CHANGES[name]), tmp_path, finish=finish)
     assert outcomes == ({"not begun", "done"} if finish else {"not begun", "done", "rolled_back"})
