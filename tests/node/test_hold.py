@@ -149,3 +149,25 @@ def test_a_mode_change_is_answered_before_the_first_call_of_the_new_mode_has_ret
         assert bench.log("node")[-2:] == ["it begins", "it is done"]
 
     simulate(tmp_path, main)
+
+
+def test_what_answers_works_again_and_says_so_although_its_thread_was_not_free(tmp_path: Path) -> None:
+    """No command follows: the manager sees that it answers."""
+
+    async def main(bench: Bench) -> None:
+        await started(bench)
+        await bench.sleep(1.0)
+        await bench.send("node", "yield", address="")
+        await bench.send("node", "mute")
+        before = bench.log("node").count("b")
+        bench.simulator.faults.hang("node", 3.0)
+        await bench.sleep(0.3)
+        refused = await bench.refusal("node", "answer", timeout=0.2)
+        assert refused.startswith("user code did not return within 0.2 s")
+        state = bench.simulator.state("node")
+        assert state is not None and state.answers, "it is reported at once"
+        assert bench.log("node").count("b") == before
+        await bench.sleep(4.0)
+        assert bench.log("node").count("b") > before + 3
+
+    simulate(tmp_path, main)

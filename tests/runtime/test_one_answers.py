@@ -203,6 +203,59 @@ def test_whichever_command_a_manager_sent_last_one_answers_then_and_with_the_nex
     pytest.fail("no change was completed")
 
 
+# A program that only serves: nothing but its requests is handed over.
+_SERVER = """
+from midstride import Component
+from std_srvs.srv import Trigger
+
+comp = Component("teller")
+tell = comp.create_server("tell", Trigger, lambda request, response: None)
+serve = comp.create_functionality("serve", outputs=[tell])
+serve.set_normal_mode(lambda: None, outputs=[tell])
+serve.set_degraded_mode(lambda: None, name="off")
+comp.start()
+"""
+_SERVING = """
+system serving
+service /tell : std_srvs/srv/Trigger
+component Server {
+  run "python3 server.py"
+  server tell
+  functionality serve { produces tell  mode normal { guarantee tell : std_srvs/srv/Trigger }  mode off { } }
+}
+node teller : Server { tell -> /tell }
+"""
+
+
+@pytest.mark.parametrize("lost", [2, 100])
+def test_a_roll_back_has_the_old_one_answer_again_and_says_so_where_it_could_not(lost: int, tmp_path: Path) -> None:
+    """The new one has had it stop and has died, and the first requests to answer again do not arrive."""
+    (tmp_path / "server.py").write_text(_SERVER)
+    simulator = Simulator()
+
+    async def look(to: str, op: str) -> None:
+        if (to, op) == ("teller", "yield"):
+            asyncio.get_running_loop().call_later(0.1, simulator.faults.kill, "teller_2")
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        simulator.faults.fail_next("teller", "yield", "delayed_reply", seconds=0.3)
+        simulator.faults.fail_next("teller", "answer", "unreachable", lost)
+        simulator.control.before_request = look
+        outcome = await manager.change(PlanRequest(restart=("teller",)))
+        await asyncio.sleep(1)
+        assert sorted(simulator.processes) == ["teller"]
+        words = [event.words for event in manager.log()]
+        if lost == 2:
+            assert (outcome.outcome, answering(simulator, "teller")) == ("rolled_back", ["teller"])
+            assert "every step has been undone" in words
+        else:
+            assert (outcome.outcome, answering(simulator, "teller")) == ("failed", [])
+            assert "teller does not answer requests to teller: teller cannot be reached" in str(outcome.because)
+            assert "every step has been undone" not in words
+
+    managed("teller", tmp_path, body, simulator, load_text(_SERVING).require(), directory=tmp_path)
+
+
 def test_a_request_may_name_an_instance(tmp_path: Path) -> None:
     async def body(manager: Manager, _: Simulator) -> None:
         assert (await manager.change(replace("talker", "NewTalker"))).outcome == "done"

@@ -48,6 +48,23 @@ def test_two_processes_that_take_turns_are_both_heard(heard: list[Any], violatio
     assert found == violations
 
 
+@pytest.mark.parametrize(
+    ("period", "silence", "violated"), [(0.1, 1.4, False), (0.1, 1.6, True), (0.2, 2.0, False), (0.2, 2.6, True)]
+)
+def test_the_topic_of_a_cut_whose_manager_has_died_is_silent_for_ten_periods_at_most(
+    period: float, silence: float, violated: bool
+) -> None:
+    times = iter([1.0, 1.0 + silence])
+    found: list[str] = []
+    platform: Any = SimpleNamespace(time=SimpleNamespace(steady=lambda: next(times)))
+    invariants = Invariants(platform, SimpleNamespace(period=lambda topic: period))  # type: ignore[arg-type]
+    invariants.begin(lambda: math.inf, lambda apart: 0.0, lambda: True, bool, found.append)
+    for _ in range(2):
+        invariants.on_publish(SimpleNamespace(topic="/chatter", owner=OLD))  # type: ignore[arg-type]
+    expected = f"/chatter was silent for {silence:.1f} s although its publishers were alive"
+    assert found == ([expected] if violated else [])
+
+
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_component_must_notice_the_silence_of_what_it_has_received(count: int) -> None:
     """An input that has never received anything is not watched."""

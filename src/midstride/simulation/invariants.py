@@ -16,6 +16,7 @@ from midstride.backends.simulator.network import SimulatedWriter
 from midstride.model.component import FunctionalityRef
 from midstride.node.author.service_ports import ABSENT
 from midstride.node.control.shortfall import LONG_FLOOR
+from midstride.runtime.handover.agreed_cut import RESUME_PERIODS
 from midstride.simulation.oracle import Oracle, Shown
 from midstride.simulation.platform import Platform
 from midstride.simulation.request_invariants import RequestInvariants
@@ -26,13 +27,21 @@ REFLEX: Final = 6.5
 # The same for a client whose server, which it had, is not in the graph any more (s): it may be missing for so long, and
 # the reflex looks every 0.1 s.
 CLIENT_REFLEX: Final = ABSENT + 1.0
-# After how long the old publisher continues at the latest if the new one does not take over (s).
-RESUMED: Final = 1.5
+# How much later than the time that it waits an old publisher may continue that no new one takes over from (s).
+RESUMED_LATE: Final = 0.5
 # Two publishers that exchanged their topic this often within so many seconds were heard at once.
 EXCHANGES: Final = 3
 EXCHANGES_WITHIN: Final = 1.0
 # Two publishers that write within this part of a period write the same slot.
 SAME_SLOT: Final = 0.25
+
+
+def resumes_within(period: float) -> float:
+    """After how long the old publisher of a topic continues at the latest if the new one does not take over (s).
+
+    ``period``: that of the topic (s).
+    """
+    return RESUME_PERIODS * period + RESUMED_LATE
 
 
 def received(process: StandIn) -> set[str]:
@@ -154,7 +163,8 @@ class Invariants:
         self.heard[owner.instance] = self.heard.get(owner.instance, 0) + 1
         key, now = (writer.topic, owner.role), self.platform.time.steady()
         before, at = self._publishers.get(key, (owner, now))
-        if now - at > RESUMED and self.oracle.period(writer.topic) and self.uninterrupted():
+        period = self.oracle.period(writer.topic)
+        if period and now - at > resumes_within(period) and self.uninterrupted():
             self._violation(f"{writer.topic} was silent for {now - at:.1f} s although its publishers were alive")
         self._publishers[key] = owner, now
         self._note_heard(owner, writer.topic)
@@ -164,7 +174,7 @@ class Invariants:
         lateness = self.lateness(apart)
         if apart and lateness == math.inf:
             return  # they share no lock, and cannot hear of each other
-        if now - at < self.oracle.period(writer.topic) * SAME_SLOT and not lateness:
+        if now - at < period * SAME_SLOT and not lateness:
             self._violation(f"{before.instance} and {owner.instance} both write one slot of {writer.topic}")
         times = self._exchanged.setdefault(
             (writer.topic, frozenset({before.pid, owner.pid})), deque(maxlen=EXCHANGES + 2)

@@ -64,6 +64,10 @@ class Oracle:
         fastest = max(rates, default=0.0)
         return 1 / fastest if fastest else 0.0
 
+    def longest_period(self) -> float:
+        """The longest period of a topic (s); 0 where none has a rate."""
+        return max(map(self.period, self._topics), default=0.0)
+
     def broken(self, shown: Collection[Shown]) -> list[FunctionalityRef]:
         """The functionalities whose current mode assumes what nothing guarantees."""
         satisfied = set(self._given)

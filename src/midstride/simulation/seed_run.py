@@ -20,7 +20,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Event
 from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
 from midstride.simulation.faults import DEAFENING, HARMLESS, LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
-from midstride.simulation.invariants import RESUMED
+from midstride.simulation.invariants import resumes_within
 from midstride.simulation.killable_manager import Life, ManagerKilled
 from midstride.simulation.request_invariants import NOTICED
 from midstride.simulation.scenario import Scenario
@@ -236,7 +236,7 @@ class Simulation:
                 self._violated(f"{sorted(unrecorded)} run, and are not saved")
         if self._outcomes[-1] == "rolled_back":
             if self._has_struck(*DEAFENING):  # an old side that was not told so waits before it writes again
-                await asyncio.sleep(RESUMED)
+                await asyncio.sleep(resumes_within(self._system.invariants.oracle.longest_period()))
             for name in closed_outputs(self._platform):
                 self._violated(f"{name} is closed after a roll-back")
         for again in (True, False):
@@ -246,10 +246,12 @@ class Simulation:
                 because = "the manager is dead" if outcome is None else outcome.because
                 self._violated(f"without faults, `{request.describe()}` is not done: {because}")
                 return
+            await asyncio.sleep(SETTLING)
             # A change leaves the crashes of others as they are, and comes too early for what notices losses later.
             if not manager.system.crashes and not self._notices_late():
                 break
-        await asyncio.sleep(SETTLING)
+            if again:  # the second command of a user comes once nothing notices a loss any more
+                await asyncio.sleep(max(0.0, self._noticed_by() - self._platform.time.steady()))
         for problem in differences(manager, self._platform, self._system.saved()):
             self._violated(f"not converged: {problem}")
         for change in (await manager.history(10)).changes:
@@ -264,14 +266,16 @@ class Simulation:
 
         A request of the mode before is no reason: it must have been in its mode for as long as a client waits.
         """
-        process_of = self._platform.standing
         for ref, (left_at, was_in) in self._system.invariants.entered.items():
-            process = process_of(ref.instance)
-            bounds = [port.within for port in process.clients if port.within is not None] if process is not None else []
-            waits = max(bounds, default=-math.inf) + OVERDUE
+            process = self._platform.standing(ref.instance)
+            waits = -math.inf if process is None else _longest_wait(process)
             if was_in > waits > 0 and self._calm_since < left_at < self._calm_since + waits + NOTICED:
                 return True
         return False
+
+    def _noticed_by(self) -> float:
+        """When every client has noticed which of its requests were lost while faults struck (steady s)."""
+        return self._calm_since + max(map(_longest_wait, self._platform.stand_ins()), default=-math.inf) + NOTICED
 
     def _again(self, manager: Manager) -> PlanRequest:
         """The request of a user now: the last change again if it was not done, else what is missing."""
@@ -447,6 +451,12 @@ class Simulation:
     def _violated(self, words: str) -> None:
         self._problems.append(words)
         self._note("VIOLATED", words)
+
+
+def _longest_wait(process: StandIn) -> float:
+    """How long a client of ``process`` waits for a response at most (s); minus infinity where none states a bound."""
+    bounds = (port.within for port in process.clients if port.within is not None)
+    return max(bounds, default=-math.inf) + OVERDUE
 
 
 async def _refused(manager: Manager) -> None:

@@ -250,11 +250,13 @@ class Agent:
                     await self._release(command)
                 case _:
                     result = await self._handlers.carry_out(command, request.revision)
-        except MidstrideError as error:
-            return self._refusal(request, str(error))
-        except CAUGHT as error:
-            words = legible(f"`{command.name}` failed: {type(error).__name__}: {error}")
-            self.host.logger.error(words)
+        except (MidstrideError, *CAUGHT) as error:
+            words = str(error)
+            if not isinstance(error, MidstrideError):
+                words = legible(f"`{command.name}` failed: {type(error).__name__}: {error}")
+                self.host.logger.error(words)
+            if command.kind == "changing":
+                self.report_state()  # a part of it may have been carried out
             return self._refusal(request, words)
         if command.kind == "changing":
             self._revision.bump()

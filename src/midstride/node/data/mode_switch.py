@@ -61,15 +61,16 @@ class DataExecutor:
     host: Host
     busy: Callable[[], str]
 
-    async def run(self, function: Callable[[], T], timeout: float) -> T:
+    async def run(self, function: Callable[[], T], timeout: float, *, late: bool = False) -> T:
         """The result of ``function``, run between two calls of user code.
 
-        Raises CommandRefused where the data thread is not free within ``timeout``; then it does not run later either.
+        Raises CommandRefused where the data thread is not free within ``timeout``; then it runs later if ``late``, and
+        else not at all.
         """
         decision = FirstDecision()
         work = asyncio.ensure_future(self.host.on_data(lambda: function() if decision.make() else None))
         if await within(self.host, work, timeout) is None:
-            if decision.make():
+            if late or decision.make():
                 raise CommandRefused(f"user code did not return within {timeout:.3g} s{self.busy()}")
             if await within(self.host, work, timeout) is None:
                 raise CommandRefused(f"it has started, but did not end within another {timeout:.3g} s{self.busy()}")

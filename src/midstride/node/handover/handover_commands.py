@@ -275,7 +275,8 @@ class HandoverCommands:
     async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
         """The instance of its role that answers is the one that works, too."""
         done = await self.answering.answer(command)
-        await self.data.run(lambda: unmute(self.runners), command.timeout)
+        # Whatever keeps its thread: nothing asks again once it answers.
+        await self.data.run(lambda: unmute(self.runners), command.timeout, late=True)
         return done
 
     async def prepare_state(self, command: commands.PrepareStateCommand) -> replies.StateOffer:

@@ -100,6 +100,8 @@ class ActionDriver:
     _keeping: set[str] = field(default_factory=set)  # instances that keep state, also where they have exited since
     _crashed: dict[str, str] = field(default_factory=dict)  # by role: what kept state, and has exited before
     _left: frozenset[str] = frozenset()  # the roles of which an earlier manager has left exported state
+    # Of a roll-back: the instances that should answer requests again, and do not, and why.
+    _not_answering: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         change = self.change.plan.change
@@ -372,11 +374,19 @@ class ActionDriver:
             self.own_state[new] = own_state(leaving, new, because)
 
     async def _successor_answers(self, leaving: str, runs: bool) -> None:
-        await answering_roles.have_others_answer(self.client, self.events, self.configuration, leaving, runs)
+        failed = await answering_roles.have_others_answer(self.client, self.events, self.configuration, leaving, runs)
+        if self.rolling_back:
+            self._not_answering |= failed
 
     def _moving_states(self) -> dict[str, str]:
         """The instances whose state moves to that which replaces them, and that."""
         return {old: new for old, new in self.change.plan.change.replaced.items() if old in self._keeping}
+
+    def not_answering(self) -> list[str]:
+        """Why a roll-back is incomplete although each step is undone: what should answer again does not."""
+        life = self.system.life
+        latest = {name: life.latest(name) for name in self._not_answering if not life.is_gone(name)}
+        return [self._not_answering[name] for name, each in latest.items() if each is None or not each.state.answers]
 
     async def _import_state(self, instance: Instance, left: LeftState) -> None:
         lenient = self.rolling_back or instance.role in self._left

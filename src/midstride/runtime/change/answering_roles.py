@@ -41,10 +41,14 @@ async def have_first_answer(
 
 async def have_others_answer(
     client: ComponentClient, events: EventLog, configuration: Configuration, leaving: str, runs: bool
-) -> None:
-    """If another instance has the role of one that leaves, have it answer from now on; ``runs``: whether that does."""
+) -> dict[str, str]:
+    """If another instance has the role of one that leaves, have it answer from now on; ``runs``: whether that does.
+
+    Returns those that do not, and why.
+    """
     role = configuration.instances[leaving].role
     drain = configuration.component(leaving).stop_times.drain
+    failed: dict[str, str] = {}
     for other in configuration.instances_of(role):
         if other.name != leaving and not client.life.is_gone(other.name):
             try:
@@ -52,4 +56,6 @@ async def have_others_answer(
                 if left is not None:
                     events.add("note", left)
             except MidstrideError as error:
-                events.add("note", f"{other.name} does not answer requests to {role}: {error}")
+                failed[other.name] = f"{other.name} does not answer requests to {role}: {error}"
+                events.add("note", failed[other.name])
+    return failed

@@ -444,6 +444,7 @@ class Executor:
                 found = [await self._undo(each, created) for each in row]
                 await self._starts.stop()
             problems += filter(None, found)
+        problems += self.driver.not_answering()
         if not problems:
             self.driver.events.add("rolled_back", "every step has been undone")
         return problems

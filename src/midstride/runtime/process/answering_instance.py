@@ -5,9 +5,10 @@ The components do it among themselves (:mod:`midstride.node.control.service_answ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
-from midstride.errors import CallTimeout, CommandRefused, RevisionChanged
+from midstride.errors import CallTimeout, CommandRefused, RevisionChanged, Unreachable
 from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import AnswerCommand
@@ -15,8 +16,9 @@ from midstride.wire.commands import AnswerCommand
 # How long an instance may take to answer, where the one before has the usual time for what it has taken (s).
 ANSWERS_WITHIN: Final = 2.0
 # How often an instance is asked to answer where it could not, and how long after the last attempt (s): one of the two
-# may have got no processor. If its predecessor has stopped, and its reply was late, none answers until the next
-# attempt; and without any, what has waited would be dropped once the predecessor has ended.
+# may have got no processor, or a request may be lost. If its predecessor has stopped, and its reply was late, none
+# answers until the next attempt; and without any, what has waited would be dropped once the predecessor has ended. None
+# answers either where a successor that is gone had it stop.
 ATTEMPTS: Final = 3
 AGAIN: Final = 0.5
 
@@ -29,17 +31,22 @@ async def have_answer(
     ``instead_of`` is the running instance that has answered until now, and has ``drain`` (s) to answer what it has
     taken; None if there is none. Returns what it had not answered then, in words; None if nothing.
     """
+    concerned = [instance] if instead_of is None else [instance, instead_of]
     for _ in range(ATTEMPTS - 1):
-        if instead_of is None:  # nothing has stopped, so nothing waits for another attempt
-            break
         try:
             return await _ask(client, instance, instead_of, drain)
-        except (CallTimeout, CommandRefused):
+        except (CallTimeout, CommandRefused, Unreachable):
+            # One that is stopped, or gone, does not do its part at the next attempt either.
+            if not _all_respond(client, concerned):
+                raise
             await client.clock.sleep(AGAIN)
-            # One that is stopped, or hangs, does not do its part at the next attempt either.
-            if any(client.life.responsive(each) is None for each in (instance, instead_of)):
+            if not _all_respond(client, concerned):
                 raise
     return await _ask(client, instance, instead_of, drain)
+
+
+def _all_respond(client: ComponentClient, instances: Sequence[str]) -> bool:
+    return all(client.life.responsive(each) is not None for each in instances)
 
 
 async def _ask(client: ComponentClient, instance: str, instead_of: str | None, drain: float) -> str | None:
