@@ -127,21 +127,22 @@ def test_what_computes_is_there_and_runs_apart_from_what_is_timed() -> None:
     assert len(files) > 100 and len(files) == len(set(files))
     assert not set(suites.TIMED) & set(files)
     assert all(any(file.startswith(each) for file in files) for each in suites.COMPUTING)
-    for place in (*suites.SECOND_PLATFORM, *suites.PAGES):
+    for place in (*suites.PLATFORM, *suites.GATES, *suites.PAGES):
         path, _, test = place.partition("::")
         assert (ROOT / path).exists() and (not test or f"def {test}(" in (ROOT / path).read_text(encoding="utf-8"))
 
 
 def test_what_watches_live_systems_runs_after_the_rest_but_for_the_tests_of_every_day() -> None:
-    watching = {"waiting", "kilted", "pages"}
-    names = ("waiting", "computing", "kilted", "pages", "ros1", "make lint")
+    watching = {"waiting", "kilted", "gates", "pages"}
+    names = ("waiting", "computing", "kilted", "gates", "pages", "ros1", "make lint")
     chosen = [suites.Suite(name, ["true"], watches=name in watching) for name in names]
 
     def stages(markers: str) -> list[list[list[str]]]:
         return [[[suite.name for suite in each] for each in stage] for stage in suites.stages(chosen, markers)]
 
     assert stages("not full and not long") == [[[name] for name in names]]
-    assert stages("not long") == [[["computing"], ["ros1"], ["make lint"]], [["waiting"], ["kilted", "pages"]]]
+    watched = [["waiting"], ["kilted", "gates", "pages"]]
+    assert stages("not long") == [[["computing"], ["ros1"], ["make lint"]], watched]
     assert stages("long") == [[[name]] for name in names]
     for stage in suites.stages(chosen, "not long"):
         suites.run_all(stage)

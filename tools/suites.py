@@ -2,14 +2,16 @@
 
 - `computing`: in .venv, the tests in COMPUTING, one per processor, at a lower priority, so that they delay no message;
 - `waiting`: in .venv, all others, more tests than processors;
-- `kilted`: with the second ROS 2, those tests marked ros2 that concern a platform;
-- `pages`: in .venv, of all others, the tests in PAGES, where `kilted` runs and not only the tests of every day do;
+- `kilted`: with the second ROS 2, of the tests in PLATFORM those of every day that are marked ros2;
+- `gates`: with it as well, those in GATES, but not every day;
+- `pages`: in .venv, where `kilted` and not only the tests of every day run, those in PAGES instead of `waiting`;
 - `ros1`: with ROS 1, those marked ros1.
 
 Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`, and
-`pages` after `kilted`) run after the others, together with twice as many tests at once as there are processors, which
-they use for a third of the time: a process that gets no processor for longer than a period misses it. Those marked
-long, many of which measure, run one suite after another; with `kilted` then also all others that are marked ros2.
+beside it `kilted`, `gates` and `pages`, one after another) run after the others, with twice as many tests at once as
+there are processors, which they use for a third of the time: a process that gets no processor for longer than a period
+misses it. Those marked long, many of which measure, run one suite after another; with `kilted` then also all others
+that are marked ros2.
 
 ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
 such as a linter, runs beside them, and counts as a suite.
@@ -36,6 +38,7 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -53,15 +56,14 @@ COMPUTING = (
 )
 # But these: they watch what processes do within fractions of a second.
 TIMED = ("tests/runtime/test_process.py",)
-# Of those that wait, what is shown to users: about as long as `kilted` is shorter than the rest of `waiting`.
-PAGES = ("tests/browser", "tests/docs")
-# What concerns a platform, every day: the back ends, and ...
+# Of those that wait, what users are shown and given: about as many as make the two lists of suites equally long.
+PAGES = ("tests/browser", "tests/capture", "tests/docs", "tests/generate")
+# What concerns a platform, on the second ROS 2: the back ends, and ...
 PLATFORM = ("tests/backends", "tests/test_ground.py")
 # ... in `make test-all` also what rests on the rcl, rclpy and middleware of a distribution: the gate in a C library,
 # and the identity of publishers. `make test-long` runs all that is marked ros2 there.
 _SWAPS = "tests/acceptance/test_foreign_swaps.py::test_a_node_"
-SECOND_PLATFORM = (
-    *PLATFORM,
+GATES = (
     "tests/foreign",
     f"{_SWAPS}in_c_replaces_one_in_rclpy_and_the_other_way_round",
     f"{_SWAPS}hands_over_to_a_component_and_back",
@@ -183,11 +185,21 @@ def suites(options: argparse.Namespace) -> list[Suite]:
         niced = ["nice", "-n", "10", tool["in-venv"]]
         found.append(Suite("computing", niced, [*first, *(computing or computing_files())], processors))
     if options.kilted:
-        folders = PLATFORM if daily else () if markers == "long" else SECOND_PLATFORM
-        marked = "ros2" if markers == "long" else f"ros2 and ({markers})"
-        variables = {"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"}
-        arguments = ["-m", marked, *given, *(paths or folders)]
-        found.append(Suite("kilted", [tool["with-kilted"]], arguments, half, variables, watches=True))
+        second = partial(
+            Suite,
+            command=[tool["with-kilted"]],
+            workers=half,
+            variables={"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"},
+            watches=True,
+        )
+        if markers == "long":
+            found.append(second("kilted", arguments=["-m", "ros2", *given, *paths]))
+        elif daily or paths:
+            found.append(second("kilted", arguments=["-m", f"ros2 and ({markers})", *given, *(paths or PLATFORM)]))
+        else:
+            every_day = f"ros2 and ({markers}) and not full"
+            found.append(second("kilted", arguments=["-m", every_day, *given, *PLATFORM]))
+            found.append(second("gates", arguments=["-m", f"ros2 and ({markers})", *given, *GATES]))
     if pages:
         kept = [f"--ignore={file}" for file in computing_files() if file.startswith(pages)]
         found.append(Suite("pages", [tool["in-venv"]], [*first, *pages, *kept], half, watches=True))
@@ -204,10 +216,9 @@ def stages(chosen: Sequence[Suite], markers: str) -> list[list[list[Suite]]]:
         return [[[suite]] for suite in chosen]
     if "not full" in markers:
         return [[[suite] for suite in chosen]]
-    watching = {suite.name: [suite] for suite in chosen if suite.watches}
-    if "pages" in watching:
-        watching["kilted"] += watching.pop("pages")
-    return [[[suite] for suite in chosen if not suite.watches], [*watching.values()]]
+    beside = [suite for suite in chosen if suite.watches and suite.name != "waiting"]
+    watching = [[suite] for suite in chosen if suite.name == "waiting"] + ([beside] if beside else [])
+    return [[[suite] for suite in chosen if not suite.watches], watching]
 
 
 def run_all(lists: Sequence[Sequence[Suite]]) -> None:
