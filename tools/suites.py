@@ -8,8 +8,8 @@
 - `ros1`: with ROS 1, those marked ros1.
 
 Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`, and
-beside it `kilted`, `gates` and `pages`, one after another) run after the others, with twice as many tests at once as
-there are processors, which they use for a third of the time: a process that gets no processor for longer than a period
+beside it `kilted`, `gates` and `pages`, one after another) run after the others, with five tests at once on two
+processors, which they use for less than half of the time: a process that gets no processor for longer than a period
 misses it. Those marked long, many of which measure, run one suite after another; with `kilted` then also all others
 that are marked ros2.
 
@@ -57,7 +57,7 @@ COMPUTING = (
 # But these: they watch what processes do within fractions of a second.
 TIMED = ("tests/runtime/test_process.py",)
 # Of those that wait, what users are shown and given: about as many as make the two lists of suites equally long.
-PAGES = ("tests/browser", "tests/capture", "tests/docs", "tests/generate")
+PAGES = ("tests/capture", "tests/cli/test_demo.py", "tests/docs", "tests/generate")
 # What concerns a platform, on the second ROS 2: the back ends, and ...
 PLATFORM = ("tests/backends", "tests/test_ground.py")
 # ... in `make test-all` also what rests on the rcl, rclpy and middleware of a distribution: the gate in a C library,
@@ -179,7 +179,7 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={each}" for each in (*computing_files(), *pages)]
-        workers = processors * 3 // 2  # daily beside `computing`, else beside `kilted`
+        workers = processors * 3 // 2 if daily else processors * 2  # daily beside `computing`
         found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]

@@ -99,13 +99,13 @@ def test_runs_that_share_what_comes_before_the_event_are_those_that_do_not(trial
     cases = [("the lidar driver dies", "stop"), ("the manager dies", "minimal")]
     script = f"""
 import json, trial
-print(json.dumps([row for seed in (901, 902) for row in trial.runs(seed, {cases!r}, after=3.0)]))
+print(json.dumps([row for seed in (901, 902) for row in trial.runs(seed, {cases!r}, after=1.0)]))
 """
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, env=environment(), timeout=120
     )
     assert done.returncode == 0, done.stderr
-    alone = [trial.run(seed, *case, after=3.0) for seed in (902, 901) for case in cases]
+    alone = [trial.run(seed, *case, after=1.0) for seed in (902, 901) for case in cases]
     assert json.loads(done.stdout) == sorted(alone, key=lambda row: row["seed"])
     assert len({row["progress"] for row in alone}) == 4
 
