@@ -29,7 +29,7 @@ from tests.runtime.test_state_without_outputs import RESTART, noted, sink_system
 pytestmark = pytest.mark.timeout(7200)
 
 LONG = int(os.environ.get("MIDSTRIDE_STATE_REPLACEMENTS", "200"))
-SHORT = 10
+SHORT = 6
 # A hand-over may be given up on a machine that is too busy for its cut; no number may be missing all the same.
 GIVEN_UP_AT_MOST = 0.02
 
