@@ -60,5 +60,6 @@ def test_ros2_two_are_prepared_and_watched_at_once(tmp_path: Path) -> None:
         assert_exactly_once(heard[:-1], topic)  # the last line may be half a line
     assert outcome.plan is not None
     found = [time for time in outcome.steps if outcome.plan.steps[time.step - 1].action == "handover"]
-    assert len(found) == 2 and found[0].began == pytest.approx(found[1].began, abs=0.1)
-    assert max(time.seconds for time in found) < 2 * (PROBATION + WATCH), "no longer than one after the other"
+    assert len(found) == 2 and all(time.seconds > PROBATION for time in found)
+    first, second = sorted(found, key=lambda time: time.began)
+    assert second.began < first.began + PROBATION, "the other one is prepared meanwhile"

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from midstride.codec.reading import decode_form
 from midstride.codec.specification_form import decode_specification
+from midstride.errors import SpecificationError
 from midstride.server.checked_text import checked
 from midstride.server.requests import SubmittedText
 from tests.examples import json_form, json_text
@@ -51,3 +53,8 @@ def test_no_file_is_read(statement: str, name: str, tmp_path: Path, monkeypatch:
     assert "midstride apply FILE" in (problem.help or "")
     assert problem.line == len(TALKER.splitlines()) + 2
     assert "secret" not in repr(result)
+
+
+def test_a_name_that_no_file_can_have_is_refused() -> None:
+    with pytest.raises(SpecificationError, match="a file's name"):
+        decode_form({"text": TALKER, "name": "a\0b"}, SubmittedText)

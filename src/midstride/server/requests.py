@@ -115,7 +115,10 @@ class SubmittedText(Form, frozen=True, kw_only=True):
     what: ClassVar[str] = "a text"
 
     text: str
-    name: Annotated[str, field("a file's name", "for the diagnostics", min_length=1, max_length=255)] = "text.stride"
+    name: Annotated[
+        str,
+        field("a file's name", "for the diagnostics", pattern=r"^[^\x00]+$", min_length=1, max_length=255),
+    ] = "text.stride"
 
 
 class SubmittedRehearsal(Form, frozen=True, kw_only=True):
