@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -14,29 +13,26 @@ from midstride.ament_index import prefixes
 from midstride.lang.source import Span
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context, ParametersGiven
-from midstride.launch_files.element_attributes import ElementAttributes
 from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.entity import Entity
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
-from midstride.launch_files.launch_grammar import not_from_0, text_of
+from midstride.launch_files.launch_grammar import text_of
 from midstride.launch_files.launched_containers import Containers, left_out
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedRespawn, LaunchedSystem, LoadedNode
 from midstride.launch_files.launched_parameters import written_file
-from midstride.launch_files.ros_arguments import RosArguments, split_ros_arguments, words_of
-from midstride.launch_files.substitutions import performed, substituted, typed_truth
-from midstride.launch_files.values import value_of
+from midstride.launch_files.node_attributes import NodeAttributes
+from midstride.launch_files.ros_arguments import split_ros_arguments, words_of
+from midstride.launch_files.substitutions import performed
 from midstride.model.component import DEFAULT_CONTAINER
-from midstride.model.component_rules import MAX_NUMBER
 from midstride.model.load_words import extra_argument
 
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
-_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 # Where launch writes what a process prints, which changes nothing that a node does.
 _OUTPUTS: Final = ("screen", "log", "both", "own_log", "full")
 
 
-class NodeElements(ElementAttributes):
+class NodeElements(NodeAttributes):
     """Notes processes in ``system``, and in ``findings`` what was left out or assumed.
 
     ``later``: why what is met now is started after the others, and how long after them (s), if it is. ``containers``:
@@ -59,18 +55,18 @@ class NodeElements(ElementAttributes):
         stated = self.text(entity, "name", context) if "name" in entity.attributes else None
         own = self.text(entity, "namespace", context) if "namespace" in entity.attributes else None
         namespace = self.joined(context.namespace, own)
-        words = self._words(entity, "args", context)
+        words = self.words(entity, "args", context)
         if "ros_args" in entity.attributes:
-            words += ["--ros-args", *self._words(entity, "ros_args", context)]
+            words += ["--ros-args", *self.words(entity, "ros_args", context)]
         arguments, ros = split_ros_arguments(words)
         named = ros.name or stated or None  # the first rule for a name applies, and arguments come first
         node = LaunchedNode(
             name=self._name(named, _stem(program), entity.span),
-            namespace=self._namespace(ros.namespace if ros.namespace is not None else namespace),
+            namespace=self.namespace(ros.namespace if ros.namespace is not None else namespace),
             program=_stem(program),
             command=(program, *arguments),
             span=entity.span,
-            remaps=(*ros.remaps, *context.remaps, *self._remaps(entity, context)),
+            remaps=(*ros.remaps, *context.remaps, *self.remaps(entity, context)),
             ros_arguments=tuple(ros.others),
             package=package,
             gate=_gate(state := "unconfigured" if entity.tag == "lifecycle_node" else ""),
@@ -79,9 +75,9 @@ class NodeElements(ElementAttributes):
         )
         section = f"{namespace.rstrip('/')}/{stated}" if stated and namespace is not None else "/**"
         settings = [
-            *self._given_by_arguments(ros, entity.span),
+            *self.given_by_arguments(ros, entity.span),
             *context.settings,
-            *self._settings(entity, section, context),
+            *self.settings(entity, section, context),
         ]
         self._note(entity, context, replace(node, settings=tuple(settings)))
 
@@ -105,12 +101,12 @@ class NodeElements(ElementAttributes):
         known = f"the node `{name}`" if ros.name else f"the node of `{name}`, which names itself"
         node = LaunchedNode(
             name=name,
-            namespace=self._namespace(ros.namespace),
+            namespace=self.namespace(ros.namespace),
             program=program,
             command=tuple(command),
             span=span,
             remaps=tuple(ros.remaps),
-            settings=tuple(self._given_by_arguments(ros, span)),
+            settings=tuple(self.given_by_arguments(ros, span)),
             ros_arguments=tuple(ros.others),
             package=package,
             unnamed=ros.name is None,  # the label is launch's own, and the program is not passed it
@@ -194,12 +190,12 @@ class NodeElements(ElementAttributes):
         self._check_package(package, program, span, context)
         arguments, ros = split_ros_arguments(found["words"][1:])
         settings = []
-        for given in self._given_by_arguments(ros, span):
+        for given in self.given_by_arguments(ros, span):
             text = found["texts"].get(given.path)
             settings.append(given if text is None else ParametersGiven(span, text=text))
         return LaunchedNode(
             name=self._name(ros.name, _stem(program), span),
-            namespace=self._namespace(ros.namespace),
+            namespace=self.namespace(ros.namespace),
             program=_stem(program),
             command=(program, *arguments),
             span=span,
@@ -251,8 +247,8 @@ class NodeElements(ElementAttributes):
             plugin,
             stated,
             namespace,
-            (*context.remaps, *self._remaps(entity, context)),
-            [*context.settings, *self._settings(entity, _section(namespace, stated), context)],
+            (*context.remaps, *self.remaps(entity, context)),
+            [*context.settings, *self.settings(entity, _section(namespace, stated), context)],
             self._extra(extra, entity.span),
             entity.span,
             context,
@@ -293,7 +289,7 @@ class NodeElements(ElementAttributes):
             self.findings.add("name", message, span, left_out=False)
         return LaunchedNode(
             name=self._name(name, of_class, span),
-            namespace=self._namespace(namespace),
+            namespace=self.namespace(namespace),
             program=of_class,
             command=(plugin,),
             span=span,
@@ -329,9 +325,9 @@ class NodeElements(ElementAttributes):
             replace(
                 node,
                 environment=variables,
-                prefix=tuple(self._prefix(entity, node, context)),
-                respawn=self._respawn(entity, context),
-                stop=tuple(self._stop(entity, context)),
+                prefix=tuple(self.prefix(entity, node, context)),
+                respawn=self.respawn(entity, context),
+                stop=tuple(self.stop(entity, context)),
             ),
             folder,
             shell,
@@ -347,145 +343,6 @@ class NodeElements(ElementAttributes):
             how, at = self.later
             node = replace(node, later=how, at=at)
         self.system.nodes.append(node)
-
-    # -- what is stated of a process -------------------------------------------------------------------------
-
-    def _words(self, entity: Entity, attribute: str, context: Context) -> list[str]:
-        if attribute not in entity.attributes:
-            return []
-        try:
-            return words_of(text_of(entity, attribute), lambda template: performed(template, context))
-        except UnknownValue as error:
-            self.findings.leave_out(f"`{attribute}` of a node", error, entity.span)
-            return []
-
-    def _given_by_arguments(self, ros: RosArguments, span: Span) -> Iterator[ParametersGiven]:
-        for option, value in ros.parameters:
-            if option == "-p":
-                yield ParametersGiven(span, rule=value)
-            elif os.path.isabs(value):
-                yield ParametersGiven(span, path=value)
-            else:
-                message = f"the parameter file `{value}` is left out: it is relative to the folder of the process"
-                self.findings.add("parameters", message, span)
-
-    def _prefix(self, entity: Entity, node: LaunchedNode, context: Context) -> list[str]:
-        """The words before the program: its own, or those that the variable `launch-prefix` has for all processes."""
-        try:
-            if "launch-prefix" in entity.attributes:
-                return _split(self.text(entity, "launch-prefix", context))
-            text = context.variable("launch-prefix", "")
-            applies = re.match(context.variable("launch-prefix-filter", ""), os.path.basename(node.command[0]))
-            return _split(text) if applies else []
-        except (UnknownValue, re.error) as error:
-            kind = error.kind if isinstance(error, UnknownValue) else "unsupported"
-            self.findings.add(kind, f"`launch-prefix` of `{node.role}` is left out: {error}", entity.span)
-            return []
-
-    def _respawn(self, entity: Entity, context: Context) -> LaunchedRespawn | None:
-        if "respawn" not in entity.attributes or not typed_truth(self.text(entity, "respawn", context)):
-            return None
-        delay = self._number(entity, "respawn_delay")
-        retries = self._number(entity, "respawn_max_retries")
-        return LaunchedRespawn(max(delay or 0.0, 0.0), -1 if retries is None else int(retries))
-
-    def _stop(self, entity: Entity, context: Context) -> Iterator[str]:
-        """How the process is ended: what of `stop` is stated, by the element or for the whole launch."""
-        for name in ("sigterm", "sigkill"):
-            attribute = f"{name}_timeout"
-            stated = entity.attributes.get(attribute, context.variables.get(attribute))
-            if attribute in entity.attributes and isinstance(stated, str):
-                try:
-                    stated = substituted(stated, context)
-                except UnknownValue as error:
-                    self.findings.leave_out(f"`{attribute}` of a node", error, entity.span)
-                    continue
-            seconds = _seconds(stated)
-            if seconds is not None:
-                yield f"{name} {seconds:g} s"
-            elif attribute in entity.attributes:
-                self.findings.leave_out(f"`{attribute}` of a node", not_from_0(stated), entity.span)
-
-    def _number(self, entity: Entity, attribute: str) -> float | None:
-        """A number that the node states; launch carries out no substitutions in it."""
-        if attribute not in entity.attributes:
-            return None
-        stated = entity.attributes[attribute]
-        try:
-            found = float(stated) if isinstance(stated, (int, float, str)) else None
-            if found is not None and abs(found) <= 1e9 and (attribute != "respawn_delay" or found >= 0):
-                return found
-        except ValueError:
-            pass
-        self.findings.leave_out(f"`{attribute}` of a node", not_from_0(stated), entity.span)
-        return None
-
-    def _remaps(self, entity: Entity, context: Context) -> Iterator[tuple[str, str]]:
-        for remap in entity.named("remap"):
-            try:
-                old, new = self.text(remap, "from", context), self.text(remap, "to", context)
-                if not new or old in {"__node", "__ns"}:
-                    raise UnknownValue(f"launch passes `-r {shortened(old)}:={shortened(new)}`", "unsupported")
-                yield old, new
-            except UnknownValue as error:
-                self.findings.leave_out("a remapping", error, remap.span)
-
-    def _settings(self, entity: Entity, section: str, context: Context) -> Iterator[ParametersGiven]:
-        """Of the parameters in an element; launch writes a file with the ``section`` for each value."""
-        for parameter in entity.named("param"):
-            try:
-                if "from" in parameter.attributes:
-                    yield self._file(parameter, context)
-                elif "allow_substs" in parameter.attributes:
-                    raise UnknownValue("`allow_substs` is for parameter files", "unsupported")
-                else:
-                    text = written_file(section, self._values(parameter, context))
-                    yield ParametersGiven(parameter.span, text=text)
-            except UnknownValue as error:
-                what = parameter.attributes.get("name", parameter.attributes.get("from", ""))
-                if error.kind == "include":
-                    error.kind = "parameters"
-                self.findings.leave_out(f"the parameter or file `{what}`", error, parameter.span)
-
-    def _file(self, entity: Entity, context: Context) -> ParametersGiven:
-        if "name" in entity.attributes:
-            raise UnknownValue("it has both `name` and `from`", "unsupported")
-        path = self.path(entity, "from", context)
-        stated = entity.attributes.get("allow_substs", False)
-        if isinstance(stated, str) and "$(" in stated:
-            raise UnknownValue("launch carries out no substitution in `allow_substs`", "unsupported")
-        if not self.boolean(entity, "allow_substs", context, False):
-            return ParametersGiven(entity.span, path=path)
-        return ParametersGiven(entity.span, path, substituted(self.files.source(path, ".yaml", ".yml").text, context))
-
-    def _values(self, entity: Entity, context: Context) -> dict[str, Any]:
-        """The parameters that an element states, as a nested mapping. Raises UnknownValue."""
-        name, nested = self.text(entity, "name", context), list(entity.named("param"))
-        if nested and "value" in entity.attributes:
-            raise UnknownValue("it has both `value` and nested parameters", "unsupported")
-        if not nested:
-            return {name: value_of(entity, "value", lambda template: performed(template, context))}
-        values: dict[str, Any] = {}
-        for each in nested:
-            values |= self._values(each, context)
-        return {name: values}
-
-    # -- names -----------------------------------------------------------------------------------------------
-
-    def joined(self, base: str | None, more: str | None) -> str | None:
-        """``more`` in the namespace ``base``, as an absolute one; None if there is neither. Raises UnknownValue."""
-        if more is None:
-            return base
-        parts = more if more.startswith("/") else f"{(base or '').rstrip('/')}/{more}"
-        self._namespace(parts)
-        return parts.rstrip("/") or "/"
-
-    def _namespace(self, stated: str | None) -> str:
-        """Without outer slashes. Raises UnknownValue."""
-        found = (stated or "").strip("/")
-        if "//" in (stated or "") or (found and not all(_NAME.fullmatch(part) for part in found.split("/"))):
-            raise UnknownValue(f"`{stated}` is not a namespace", "name")
-        return found
 
     def _check_package(self, package: str, program: str, span: Span | None, context: Context) -> None:
         if not package or span is None:
@@ -511,14 +368,6 @@ class NodeElements(ElementAttributes):
         return name
 
 
-def _seconds(stated: object) -> float | None:
-    """A number from 0 that the language has; None where ``stated`` is none."""
-    with suppress(ValueError):
-        if isinstance(stated, (int, float, str)) and 0 <= (found := float(stated)) <= MAX_NUMBER:
-            return found
-    return None
-
-
 def _gate(state: str) -> str:
     """The gate of a node whose lifecycle has a ``state``, or that has none: Midstride manages it unless others do."""
     return "lifecycle preload" if state else "preload"
@@ -536,11 +385,3 @@ def _in_words(value: object) -> str:
 
 def _stem(path: str) -> str:
     return os.path.splitext(os.path.basename(path))[0]
-
-
-def _split(text: str) -> list[str]:
-    """Raises UnknownValue."""
-    try:
-        return shlex.split(text)
-    except ValueError as error:
-        raise UnknownValue(f"a command cannot be split into words: {error}", "unsupported") from None
