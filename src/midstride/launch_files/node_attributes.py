@@ -1,4 +1,4 @@
-"""What the element of a node in a launch file states of its process: arguments, parameters, times, its namespace."""
+"""The attributes of a node's element in a launch file: arguments, parameters, times of its process, its namespace."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ class NodeAttributes(ElementAttributes):
                 self.findings.leave_out("a remapping", error, remap.span)
 
     def settings(self, entity: Entity, section: str, context: Context) -> Iterator[ParametersGiven]:
-        """Of the parameters in an element; launch writes a file with the ``section`` for each value."""
+        """The parameters in an element; launch writes a file with the ``section`` for each value."""
         for parameter in entity.named("param"):
             try:
                 if "from" in parameter.attributes:
