@@ -179,7 +179,8 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={each}" for each in (*computing_files(), *pages)]
-        workers = processors * 3 // 2 if daily else processors * 2  # daily beside `computing`
+        # Those of every day run beside `computing`; many of the long ones measure.
+        workers = processors * 3 // 2 if daily or markers == "long" else processors * 2
         found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]
