@@ -1,7 +1,7 @@
 """suites.py MARKERS [--kilted] [--ros1] [--beside COMMAND;…] [-- ARGS…]: runs the tests, several suites at once.
 
-- `computing`: in .venv, the tests in COMPUTING, one per processor, at a lower priority, so that they delay no message;
-- `waiting`: in .venv, all others, more tests than processors;
+- `computing`: in .venv, the tests in COMPUTING, at a lower priority, so that they delay no message;
+- `waiting`: in .venv, all others;
 - `kilted`: with the second ROS 2, of the tests in PLATFORM those of every day that are marked ros2;
 - `gates`: with it as well, those in GATES, but not every day;
 - `pages`: in .venv, where `kilted` and not only the tests of every day run, those in PAGES instead of `waiting`;
@@ -166,7 +166,7 @@ class Suite:
 def suites(options: argparse.Namespace) -> list[Suite]:
     """The suites that have tests, where `options` name folders, files or tests."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 2
-    half = max(1, processors // 2)
+    half, more = max(1, processors // 2), processors * 3 // 2  # of what waits at times, more than there are processors
     tool = {name: str(ROOT / "tools" / name) for name in ("in-venv", "with-kilted", "with-ros1")}
     markers, daily = options.markers, "not full" in options.markers
     paths = [each for each in options.arguments if each.startswith("tests/")]
@@ -180,11 +180,12 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     if waiting or not paths:
         chosen = waiting or [f"--ignore={each}" for each in (*computing_files(), *pages)]
         # Those of every day run beside `computing`; many of the long ones measure.
-        workers = processors * 3 // 2 if daily or markers == "long" else processors * 2
+        workers = more if daily or markers == "long" else processors * 2
         found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]
-        found.append(Suite("computing", niced, [*first, *(computing or computing_files())], processors))
+        workers = processors if markers == "long" else more
+        found.append(Suite("computing", niced, [*first, *(computing or computing_files())], workers))
     if options.kilted:
         second = partial(
             Suite,
