@@ -7,7 +7,9 @@
  * another node in the process, that publishes on the topic as well, as WRITER + 1000. FAKE_NODES has the names of nodes that
  * it creates first, with the name `/given` for all by the rules of the command line: one with `=` has that other name by a
  * rule of its own, and one with `-` is ended at once. With FAKE_WITHIN, it uses intra-process communication as rclcpp does, and
- * only a subscription of the process gets its messages. */
+ * only a subscription of the process gets its messages.
+ * With FAKE_LOADS, it does nothing but what it reads, a line each, and says when that is done: `+NAME` creates a node of that
+ * full name with a publisher on the topic, `.NAME` removes the publisher of the last such node, `-NAME` ends the node. */
 #define _GNU_SOURCE
 #include <stdint.h>
 #include <stdio.h>
@@ -63,8 +65,44 @@ static void create_nodes(char *names)
   }
 }
 
+/* The nodes of a container, at most one of them with a name. */
+static void load_as_told(const char *topic)
+{
+  enum { MOST = 16 };
+  static const char type;
+  static struct {
+    char *name;
+    void *node, *publisher;
+  } nodes[MOST];
+  char line[300];
+  while (fgets(line, sizeof line, stdin)) {
+    line[strcspn(line, "\n")] = 0;
+    int at = 0;
+    for (int each = MOST - 1; each >= 0; each--)
+      if (*line == '+' ? !nodes[each].name : nodes[each].name && strcmp(nodes[each].name, line + 1) == 0)
+        at = each;
+    if (*line == '+') {
+      nodes[at].name = strdup(line + 1);
+      rcl_node_init(&nodes[at].node, nodes[at].name, "", NULL, NULL);
+      rcl_publisher_init(&nodes[at].publisher, &nodes[at].node, &type, topic, NULL);
+    } else if (*line == '.') {
+      rcl_publisher_fini(&nodes[at].publisher, &nodes[at].node);
+    } else {
+      rcl_node_fini(&nodes[at].node);
+      free(nodes[at].name);
+      nodes[at].name = NULL;
+    }
+    puts("done");
+    fflush(stdout);
+  }
+}
+
 int main(int count, char **arguments)
 {
+  if (getenv("FAKE_LOADS")) {
+    load_as_told(arguments[2]);
+    return 0;
+  }
   if (getenv("FAKE_NODES"))
     create_nodes(strdup(getenv("FAKE_NODES")));
   static const char type;

@@ -122,3 +122,5 @@ class Lab:
         for process in self.processes.values():
             process.kill()
             process.wait()
+            for pipe in filter(None, (process.stdin, process.stdout)):
+                pipe.close()

@@ -31,6 +31,7 @@ from midstride.foreign.page_layout import (
     PageLayout,
     PageNode,
     PagePort,
+    PageReceipts,
     PageRequests,
     PortFlag,
 )
@@ -51,11 +52,11 @@ def started(lab: Lab, period: int, flags: PortFlag) -> tuple[int, int, int]:
 
 
 def test_the_layout_is_that_of_the_library(gate_library: Path) -> None:
-    sizes = (ctypes.c_uint32 * 6)()
+    sizes = (ctypes.c_uint32 * 7)()
     ctypes.CDLL(str(gate_library)).midstride_layout(sizes)
     assert list(sizes) == [
         VERSION,
-        *(ctypes.sizeof(each) for each in (PageLayout, PageBaton, PageNode, PagePort, PageRequests)),
+        *(ctypes.sizeof(each) for each in (PageLayout, PageBaton, PageNode, PagePort, PageRequests, PageReceipts)),
     ]
 
 

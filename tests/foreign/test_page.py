@@ -115,6 +115,83 @@ def two(lab: Lab, monkeypatch: pytest.MonkeyPatch, messages: int = 10**12, flags
     return first, second
 
 
+class Told:
+    """A container in a process of ``lab`` that loads and unloads nodes as it is told; ``own``: its part of the page."""
+
+    def __init__(self, lab: Lab) -> None:
+        self.page, self.own = lab.page, lab.page.allocate("container")
+        given = variables(lab.page.path, lab.programs, lab.library, lab.log, self.own)
+        command = [str(lab.programs / "node"), "1", "/chat"]
+        self.process = subprocess.Popen(
+            command, env={**os.environ, **given, "FAKE_LOADS": "1"}, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        lab.processes[self.own] = self.process
+
+    def tell(self, words: str) -> None:
+        assert self.process.stdin is not None and self.process.stdout is not None
+        self.process.stdin.write(f"{words}\n".encode())
+        self.process.stdin.flush()
+        assert self.process.stdout.readline() == b"done\n"
+
+    def load(self, name: str) -> int:
+        index = self.page.allocate(name, process=self.own, name=name)
+        self.page.set_ports(index, [("/chat", OUTPUT)])
+        self.tell(f"+{name}")
+        assert self.page.layout.nodes[index].pid == self.process.pid and not self.page.is_dead(index)
+        return index
+
+    def unload(self, name: str) -> None:
+        self.tell(f".{name}")
+        self.tell(f"-{name}")
+
+
+def test_a_container_that_goes_on_gives_back_the_parts_of_the_nodes_that_it_has_unloaded(lab: Lab) -> None:
+    told = Told(lab)
+    stays, given = told.load("/stays"), set[int]()
+    room = lab.page.layout.room
+    for number in range(600):
+        name = f"/node_{number % 7}"
+        index = told.load(name)
+        given.add(index)
+        if number % 2:  # as where a destructor returns late
+            lab.page.free(index)
+            told.unload(name)
+        else:
+            told.unload(name)
+            assert lab.page.layout.nodes[index].pid == 0
+            lab.page.free(index)
+    assert (len(given), lab.page.layout.room) == (1, room)
+    assert lab.page.ros_nodes(stays) == ["/stays"]
+    assert lab.page.layout.nodes[stays].pid == told.process.pid and not lab.page.is_dead(stays)
+
+
+def test_a_part_is_not_given_away_while_the_process_publishes_as_that_node(lab: Lab) -> None:
+    told = Told(lab)
+    index = told.load("/node")
+    told.tell("-/node")
+    lab.page.free(index)
+    other = told.load("/other")
+    assert other != index
+    assert lab.page.layout.nodes[index].pid == told.process.pid and not lab.page.is_dead(index)
+
+
+def test_a_part_that_is_given_to_another_process_is_left_alone(lab: Lab) -> None:
+    """The helper thread of the one that had it writes nothing there, and the lock is that of the other."""
+    told = Told(lab)
+    told.load("/stays")
+    index = told.load("/node")
+    told.unload("/node")
+    lab.page.free(index)
+    other = lab.node(MS, RATED, messages=5)
+    assert other == index
+    until(lambda: lab.port(other).matched == 3, "its own process has not looked")
+    before = lab.page.beat(told.own)
+    until(lambda: lab.page.beat(told.own) > before + 2, "the other one does not look")
+    assert lab.port(other).matched == 3
+    lab.kill(other)
+    assert lab.page.is_dead(other)
+
+
 def test_the_nodes_of_a_process_are_listed_while_they_are_there(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     index = lab.page.allocate("both")
     lab.page.set_ports(index, [("/chat", OUTPUT), ("/other", OUTPUT)])

@@ -182,6 +182,10 @@ class Page:
         """
         self.layout.nodes[process].loading = 0 if index is None else index + 1
 
+    def is_loading(self, process: int) -> bool:
+        """Return whether the container of the node ``process`` has taken a request to load, and not answered it."""
+        return bool(self.layout.nodes[process].loads)
+
     def every_port(self) -> Iterator[PagePort]:
         """The ports of all nodes, and the free ones."""
         return (self._ports[number] for number in range(self.layout.room))

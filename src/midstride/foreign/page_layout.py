@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 14
+VERSION: Final = 15
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -137,6 +137,7 @@ class PageNode(ctypes.Structure):
         ("beyond", c_uint32),
         ("goals", c_uint32 * 4),
         ("loading", c_uint32),
+        ("loads", c_uint32),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
     ]

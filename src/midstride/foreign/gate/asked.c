@@ -79,6 +79,11 @@ static void hold_asked(unsigned own, uint32_t number)
   hold_claimed(entry, held);
 }
 
+void forget_asked(unsigned own)
+{
+  taken_asked[own - 1] = 0;
+}
+
 void take_asked(void)
 {
   unsigned process = (unsigned)(node - page->nodes) + 1;

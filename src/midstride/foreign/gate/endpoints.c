@@ -10,6 +10,9 @@ struct table first_table;
 struct used_port *used_ports;
 unsigned used_count;
 
+/* Of a port that no node of this process has any more. */
+#define NOBODY UINT32_MAX
+
 /* The entry that is looked for at `step`, from that of its hash on. */
 static struct entry *probed(struct table *table, const void *endpoint, unsigned step)
 {
@@ -109,9 +112,15 @@ static struct port *port_of(unsigned me, const char *topic, uint32_t kind)
 /* The index of a port among those that have been used; that many where there is no memory for one more. With `lock`. */
 static unsigned use(struct port *port, unsigned me)
 {
-  unsigned index = 0;
+  unsigned index = 0, free = 0;
   while (index < used_count && (used_ports[index].port != port || used_ports[index].me != me))
     index++;
+  while (free < used_count && used_ports[free].me != NOBODY)
+    free++;
+  if (index == used_count && free < used_count) {
+    used_ports[free] = (struct used_port){.port = port, .me = me};
+    return free;
+  }
   if (index == used_count) {
     struct used_port *more = realloc(used_ports, (used_count + 1) * sizeof *used_ports);
     if (!more)
@@ -187,6 +196,20 @@ bool add_entry(const void *endpoint, const void *owner, const char *topic, uint3
   return true;
 }
 
+bool forget_ports(unsigned me)
+{
+  for (struct table *table = &first_table; table; table = atomic_load(&table->next))
+    for (unsigned index = 0; index < ENTRIES; index++) {
+      const void *known = atomic_load(&table->entries[index].endpoint);
+      if (known && known != REMOVED && table->entries[index].me == me)
+        return false;
+    }
+  for (unsigned index = 0; index < used_count; index++)
+    if (used_ports[index].me == me)
+      used_ports[index].me = NOBODY;
+  return true;
+}
+
 void remove_entry(const void *endpoint)
 {
   struct entry *entry = find_entry(endpoint);
@@ -194,9 +217,11 @@ void remove_entry(const void *endpoint)
     return;
   pthread_mutex_lock(&lock);
   atomic_store_explicit(&entry->endpoint, REMOVED, memory_order_release);
-  atomic_fetch_sub(&entry->port->endpoints, 1);
-  atomic_store(&entry->port->waiting, 0);
-  atomic_store(&entry->port->busy, 0);
+  if (atomic_load(&entry->port->node) == entry->me) { /* the manager has not freed it */
+    atomic_fetch_sub(&entry->port->endpoints, 1);
+    atomic_store(&entry->port->waiting, 0);
+    atomic_store(&entry->port->busy, 0);
+  }
   discard_kept(entry, 0);
   drop_requests(entry);
   pthread_mutex_unlock(&lock);

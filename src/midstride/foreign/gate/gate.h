@@ -172,6 +172,11 @@ static inline struct entry *find_server(const void *service)
 bool add_entry(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type,
                const void *response);
 void remove_entry(const void *endpoint);
+/* Forget the ports of the node `me` (index + 1), which another process may have from now on; false where it still has an
+ * endpoint. With `lock`. */
+bool forget_ports(unsigned me);
+/* Forget which requests of the manager it has taken (asked.c). With `lock`. */
+void forget_asked(unsigned own);
 
 /* -- whether a message may be published (writers.c) ------------------------------------------------------------------- */
 

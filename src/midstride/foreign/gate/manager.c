@@ -5,8 +5,8 @@
 
 EXPORT void midstride_layout(uint32_t *sizes)
 {
-  uint32_t layout[] = {PAGE_VERSION,        sizeof(struct page), sizeof(struct baton),
-                       sizeof(struct node), sizeof(struct port), sizeof(struct requests)};
+  uint32_t layout[] = {PAGE_VERSION,        sizeof(struct page),     sizeof(struct baton),   sizeof(struct node),
+                       sizeof(struct port), sizeof(struct requests), sizeof(struct receipts)};
   memcpy(sizes, layout, sizeof layout);
 }
 

@@ -2,6 +2,7 @@
 #include "gate.h"
 
 #include <string.h>
+#include <unistd.h>
 
 /* Counted from here, so that a node is never taken for a port. */
 #define NODE_NUMBER UINT32_MAX
@@ -17,12 +18,18 @@ static bool loads(const char *service)
 
 void begin_loading(const char *service)
 {
-  loading = loading || loads(service);
+  if (loading || !loads(service))
+    return;
+  loading = true;
+  atomic_fetch_add(&node->loads, 1);
 }
 
 void end_loading(const char *service)
 {
-  loading = loading && !loads(service);
+  if (!loading || !loads(service))
+    return;
+  loading = false;
+  atomic_fetch_sub(&node->loads, 1);
 }
 
 static unsigned own_number(void)
@@ -110,6 +117,33 @@ EXPORT int rcl_node_init(void *created, const char *name, const char *namespace,
   return result;
 }
 
+/* Give up a node of the page, by its index + 1, if nothing is left of it in this process, which goes on. With `lock`. */
+static void give_up(unsigned me)
+{
+  for (unsigned index = 0; index < atomic_load(&page->head.room); index++)
+    if (atomic_load(&page->ports[index].kind) == NODE && atomic_load(&page->ports[index].node) == me)
+      return;
+  if (!forget_ports(me))
+    return;
+  forget_asked(me);
+  atomic_store(&page->nodes[me - 1].pid, 0); /* first: it has not ended */
+  struct flock released = lock_of(me, F_UNLCK);
+  fcntl(descriptor, F_SETLK, &released);
+}
+
+/* A node of that full name has ended, which belonged to the node `owner` of the page (index + 1; 0: not known). The manager
+ * may have freed that before. With `lock`. */
+static void leave_ended(const char *name, unsigned owner)
+{
+  for (unsigned me = 1; me <= NODES; me++) {
+    struct node *other = &page->nodes[me - 1];
+    bool inside = me != own_number() && other->process == own_number();
+    if (inside && atomic_load(&other->pid) == (uint32_t)getpid() &&
+        (me == owner || !atomic_load(&other->used) || strncmp(other->name, name, NAME) == 0))
+      give_up(me);
+  }
+}
+
 EXPORT int rcl_node_fini(void *ended)
 {
   const char *name =
@@ -117,8 +151,10 @@ EXPORT int rcl_node_fini(void *ended)
   if (name) {
     pthread_mutex_lock(&lock);
     struct port *port = listed_node(name);
+    unsigned owner = port ? atomic_load(&port->node) : 0;
     if (port)
       free_port(port);
+    leave_ended(name, owner);
     pthread_mutex_unlock(&lock);
   }
   return real_rcl_node_fini()(ended);

@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 14 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 15 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -96,7 +96,8 @@ struct receipts {
  * about goals that no node knew. */
 enum { GOALS_ACCEPTED, GOALS_ENDED, GOALS_CANCELLED, GOALS_UNKNOWN, COUNTED };
 
-/* What is gated as one: a process, or one of several ROS nodes in it. */
+/* What is gated as one: a process, or one of several ROS nodes in it. It may be given away once it is not `used` and has no
+ * `pid`, or that process has ended. */
 struct node {
   _Atomic uint32_t pid;  /* 0: none of its endpoints has been created yet */
   _Atomic uint32_t bell; /* a futex: counted up to have the helper thread look at once */
@@ -117,6 +118,7 @@ struct node {
   _Atomic uint32_t beyond; /* how many goals it has in progress that the page had no room for */
   _Atomic uint32_t goals[COUNTED]; /* what has become of its goals, in all */
   _Atomic uint32_t loading; /* index + 1 of the one that a container, which this is, is being asked to load; 0: of none */
+  _Atomic uint32_t loads; /* how many requests to load a node it has taken and not answered yet */
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */
 };
