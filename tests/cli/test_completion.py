@@ -19,6 +19,7 @@ from midstride.cli.command_list import COMMANDS
 from tests.cli.conftest import EXAMPLES, Midstride, running
 
 TALKER = str(EXAMPLES / "talker" / "talker.stride")
+GROUPED = str(Path(__file__).parent / "grouped.stride")
 OBSTACLE = str(EXAMPLES / "obstacle" / "obstacle.stride")
 
 Complete = Callable[..., list[str]]
@@ -103,6 +104,8 @@ def test_every_command_and_its_options(complete: Complete) -> None:
         (f"plan {TALKER} --replace talker=", ["Listener", "NewTalker", "Talker"]),
         (f"plan {TALKER} --replace talker=N", ["NewTalker"]),
         (f"plan {TALKER} --remove listener --replace talker=N", ["NewTalker"]),
+        (f"plan {GROUPED} --restart ", ["front/left", "front/pipeline", "front/right"]),
+        (f"plan {GROUPED} --replace front/p", []),
         ("plan nowhere.stride --remove ", []),
         (f"plan {Path(__file__)} --remove ", []),
         ("plan --remove ", []),

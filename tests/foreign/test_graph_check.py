@@ -196,6 +196,15 @@ def test_a_node_that_publishes_without_rcl_is_refused_as_soon_as_it_has_settled(
     assert refuses(tmp_path, gate_library, monkeypatch, OUT, False, refused, patience=1e9) == 0
 
 
+def recorded(component: ComponentSpec, index: int | None = None, **more: Any) -> ForeignRecord:
+    """The record of a node of this process that has just been started."""
+    declaration = NamedComponentForm.of(component)
+    values: dict[str, Any] = {"topics": {}, "modes": {}, "pid": os.getpid(), **more}
+    return ForeignRecord(
+        instance="node", node="/node", token=TOKEN, uuid="", started=0, declaration=declaration, index=index, **values
+    )
+
+
 def refuses(
     tmp_path: Path,
     gate_library: Path,
@@ -212,18 +221,7 @@ def refuses(
     page = Page(tmp_path / "page", gate_library)
     gates = Gates(page, page.allocate("node"), TALKER)
     gates.prepare({"out": "/chat"})
-    record = ForeignRecord(
-        instance="node",
-        node="/node",
-        token=TOKEN,
-        uuid="",
-        pid=os.getpid(),
-        started=0,
-        declaration=NamedComponentForm.of(TALKER),
-        index=gates.index,
-        topics={"out": "/chat"},
-        modes={"talk": "degraded"},
-    )
+    record = recorded(TALKER, gates.index, topics={"out": "/chat"}, modes={"talk": "degraded"})
     services: Any = Services(answers)
 
     async def scenario() -> None:
@@ -279,18 +277,7 @@ def test_a_node_without_ports_registers_once_the_graph_shows_it_or_after_a_time(
     monkeypatch.setattr(agent_module, "SETTLED", 1e9 if shown else 0.0)
     monkeypatch.setattr(agent_module, "WATCH", 0.01)
     bare = ComponentSpec.of("Talker", run="talker", gate="none")
-    record = ForeignRecord(
-        instance="node",
-        node="/node",
-        token=TOKEN,
-        uuid="",
-        pid=os.getpid(),
-        started=0,
-        declaration=NamedComponentForm.of(bare),
-        index=None,
-        topics={},
-        modes={},
-    )
+    record = recorded(bare)
     looks: list[list[GraphEndpoint]] = []
 
     def graph() -> list[GraphEndpoint]:

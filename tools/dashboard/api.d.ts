@@ -639,13 +639,13 @@ declare namespace Api {
     executable?: string | null;
   }
 
-  /** A process whose end was cut short: it had to be killed, or its `on_stop` has failed. What it does then is lost. ``seconds``: how long it had. ``unfinished``: it was not killed, and ``words`` say what it has left undone. */
+  /** A process whose end was cut short: it had to be killed, or its `on_stop` has failed. What it does then is lost. ``seconds``: how long it had. ``unfinished``: it was not killed, and it left undone what ``words`` says. */
   interface KilledProcess {
     instance: string;
     /** how long it had, from when it was asked to end */
     seconds: number;
     words: string;
-    /** it has ended by itself, and says what it has left undone */
+    /** it was not killed, and left undone what `words` says */
     unfinished: boolean;
   }
 

@@ -14,7 +14,11 @@ from midstride.cli.change_options import parse_new_node, parse_pair, strategy_op
 
 def planned_change_options(function: Any) -> Any:
     """The options of a change of a specification, with nothing running; :func:`planned_change` reads them."""
-    node: dict[str, Any] = {"metavar": "NODE", "multiple": True, "shell_complete": shell_completion.nodes}
+    node: dict[str, Any] = {
+        "metavar": "NODE",
+        "multiple": True,
+        "shell_complete": shell_completion.nodes_and_containers,
+    }
     pair: dict[str, Any] = {
         "metavar": "NODE=COMPONENT",
         "multiple": True,

@@ -123,6 +123,13 @@ def nodes(context: click.Context, _: str) -> Iterable[str]:
 
 
 @_completer
+def nodes_and_containers(context: click.Context, _: str) -> Iterable[str]:
+    """Nodes and containers of the system, without those that the line names already."""
+    named, system = context.params.get("nodes") or (), _system(context)
+    return (name for name in [*system["nodes"], *system.get("containers", {})] if name not in named)
+
+
+@_completer
 def components(context: click.Context, _: str) -> Iterable[str]:
     """Components of the running system and of the file given with ``--from``."""
     return _components(context)

@@ -102,7 +102,9 @@ def replace_command(
 
 
 @click.command("restart")
-@click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=shell_completion.nodes)
+@click.argument(
+    "nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=shell_completion.nodes_and_containers
+)
 @change_options.declared_parameters_option
 @request_options
 def restart_command(
@@ -165,7 +167,9 @@ def _check_values(parameters: tuple[str, ...], component: ComponentSpec | None) 
 
 
 @click.command("remove")
-@click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=shell_completion.nodes)
+@click.argument(
+    "nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=shell_completion.nodes_and_containers
+)
 @request_options
 def remove_command(
     nodes: tuple[str, ...],

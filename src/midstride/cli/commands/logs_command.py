@@ -35,7 +35,7 @@ LOOK: Final = 0.5
 
 
 @click.command("logs")
-@click.argument("node", shell_complete=shell_completion.nodes)
+@click.argument("node", shell_complete=shell_completion.nodes_and_containers)
 @click.option(
     "--follow", "-f", is_flag=True, help="Continue with what is written, also by a replacement; Ctrl-C ends it."
 )

@@ -17,18 +17,35 @@ STOPPED: Final = 3.0
 _WRAP: Final = 2**32
 
 
-class RecordedServer(Protocol):
-    """A server as its process records it, on one clock (ns).
+class AnsweringServer(Protocol):
+    """How many requests a server has ``answered``, and how long the last ones ``took`` (us).
 
-    ``answered`` requests in all, and how long the last ones took (``took``, in us): that of response n at n modulo its
-    length. ``waiting``: since when the oldest request is not answered; ``busy``: since when nothing waits for requests;
-    0 where none, or something, does.
+    That of response n is at n modulo the length of ``took``.
     """
 
     @property
     def answered(self) -> int: ...
     @property
     def took(self) -> Sequence[int]: ...
+
+
+def latest_responses(server: AnsweringServer, known: int | None) -> tuple[int, list[float]]:
+    """How many requests it has answered, and how long each response took since it had answered ``known`` of them (s).
+
+    Of more than are kept, the last ones; none where ``known`` is None.
+    """
+    answered, kept = int(server.answered), len(server.took)
+    new = 0 if known is None else (answered - known) % _WRAP
+    return answered, [server.took[number % kept] / 1e6 for number in range(answered - min(new, kept), answered)]
+
+
+class RecordedServer(AnsweringServer, Protocol):
+    """A server as its process records it, on one clock (ns).
+
+    ``waiting``: since when the oldest request is not answered; ``busy``: since when nothing waits for requests; 0 where
+    none, or something, does.
+    """
+
     @property
     def waiting(self) -> int: ...
     @property
@@ -92,11 +109,10 @@ class ResponseWatch:
         self._silent = self._silence(server, now, due)
 
     def _see_responses(self, server: RecordedServer, now: int, speed: float) -> None:
-        answered, kept = int(server.answered), len(server.took)
-        new = 0 if self._answered is None else (answered - self._answered) % _WRAP
-        self._answered, self._longest = answered, None
-        for number in range(answered - min(new, kept), answered):
-            took = server.took[number % kept] / 1e6 * speed
+        self._answered, found = latest_responses(server, self._answered)
+        self._longest = None
+        for seconds in found:
+            took = seconds * speed
             self.answered += 1
             self._longest = max(took, self._longest or 0.0)
             if took <= self.within:

@@ -53,13 +53,13 @@ class UpReport(Report, frozen=True):
 class KilledProcess(Report, frozen=True, kw_only=True):
     """A process whose end was cut short: it had to be killed, or its `on_stop` has failed. What it does then is lost.
 
-    ``seconds``: how long it had. ``unfinished``: it was not killed, and ``words`` say what it has left undone.
+    ``seconds``: how long it had. ``unfinished``: it was not killed, and it left undone what ``words`` says.
     """
 
     instance: str
     seconds: Annotated[float, Meta(description="how long it had, from when it was asked to end")]
     words: str
-    unfinished: Annotated[bool, Meta(description="it has ended by itself, and says what it has left undone")] = False
+    unfinished: Annotated[bool, Meta(description="it was not killed, and left undone what `words` says")] = False
 
 
 class DownReport(Report, frozen=True):
