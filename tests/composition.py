@@ -7,6 +7,7 @@ index.
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 import subprocess
@@ -74,6 +75,27 @@ _LIBRARIES = (
 )
 _NAME = "composition_interfaces"
 
+# The classes of component.c.
+CLASSES = ("demo::Talker", "demo::Maker", "demo::Failing", "demo::Crashing")
+# Talkers of the library component.c, and components that differ from them in one way each.
+TALKERS = """
+component Talker {
+  run component "demo::Talker -e enable_rosout:=false" package "demo" gate preload
+  output out as chatter
+  functionality talk {
+    produces out
+    mode normal { guarantee out : std_msgs/msg/String @ 45 Hz }
+    mode degraded { }
+  }
+}
+component Later like Talker {
+  run component "demo::Talker" package "demo" gate preload
+  parameters { first = 5000 }
+}
+component Failing like Talker { run component "demo::Failing" package "demo" gate preload }
+component Crashing like Talker { run component "demo::Crashing" package "demo" gate preload }
+"""
+
 
 class StandIn:
     """Below ``prefix``. ``python``: the folder with the Python package composition_interfaces."""
@@ -87,10 +109,21 @@ class StandIn:
         self._register("rclcpp_components")
         self._compile_interfaces()
         self._compile("container.c", prefix / "lib" / "rclcpp_components" / "component_container", libraries=[_NAME])
-        self.install("demo", ("demo::Talker", "demo::Failing", "demo::Crashing"))
+        self.install("demo")
 
-    def install(self, package: str, classes: Sequence[str], text: str = "old") -> None:
-        """Compile the library of a package with composable nodes, of which talkers say ``text``, and register them."""
+    @classmethod
+    def in_use(cls, folder: Path, monkeypatch: pytest.MonkeyPatch) -> StandIn:
+        """Below ``folder``, and found by what is started from now on."""
+        made = cls(folder / "prefix")
+        before = os.environ.get("AMENT_PREFIX_PATH")
+        paths = [str(made.prefix), *([before] if before else [])]
+        monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(paths))
+        monkeypatch.syspath_prepend(made.python)
+        importlib.invalidate_caches()
+        return made
+
+    def install(self, package: str, text: str = "old") -> None:
+        """Compile the library of a package with the CLASSES, of which talkers say ``text``, and register them."""
         self._register(package)
         library = self.prefix / "lib" / f"lib{package}.so"
         built = library.with_suffix(".new")
@@ -98,7 +131,7 @@ class StandIn:
         built.replace(library)  # a process has the old one open
         index = self._index / "rclcpp_components"
         index.mkdir(exist_ok=True)
-        (index / package).write_text("".join(f"{each};lib/lib{package}.so\n" for each in classes), encoding="utf-8")
+        (index / package).write_text("".join(f"{each};lib/lib{package}.so\n" for each in CLASSES), encoding="utf-8")
 
     def _register(self, package: str) -> None:
         (self._index / "packages").mkdir(parents=True, exist_ok=True)

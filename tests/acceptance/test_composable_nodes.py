@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
 from itertools import groupby
@@ -15,43 +14,23 @@ from midstride.model.specification import Specification
 from tests.acceptance.foreign_support import robot
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
-from tests.composition import StandIn
+from tests.composition import TALKERS, StandIn
 
 # Its types and its container are compiled first, which takes longer than the rest.
 pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.long]
 
-ROBOT = """system composed
+ROBOT = f"""system composed
 topic /front/chat : std_msgs/msg/String @ 45 Hz
-component Talker {
-  run component "demo::Talker -e enable_rosout:=false" package "demo" gate preload
-  output out as chatter
-  functionality talk {
-    produces out
-    mode normal { guarantee out : std_msgs/msg/String @ 45 Hz }
-    mode degraded { }
-  }
-}
-component Later like Talker {
-  run component "demo::Talker" package "demo" gate preload
-  parameters { first = 5000 }
-}
-component Failing like Talker { run component "demo::Failing" package "demo" gate preload }
-component Crashing like Talker { run component "demo::Crashing" package "demo" gate preload }
-component Unknown like Talker { run component "demo::Tolker" package "demo" gate preload }
-namespace front {
-  node talker : Talker { out -> /front/chat }
-}
+{TALKERS}component Unknown like Talker {{ run component "demo::Tolker" package "demo" gate preload }}
+namespace front {{
+  node talker : Talker {{ out -> /front/chat }}
+}}
 """
 
 
 @pytest.fixture
 def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StandIn:
-    made = StandIn(tmp_path / "prefix")
-    before = os.environ.get("AMENT_PREFIX_PATH")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{made.prefix}{os.pathsep}{before}" if before else str(made.prefix))
-    monkeypatch.syspath_prepend(made.python)
-    importlib.invalidate_caches()
-    return made
+    return StandIn.in_use(tmp_path, monkeypatch)
 
 
 def system(folder: Path) -> Specification:
@@ -67,7 +46,7 @@ def test_a_composable_node_is_replaced_with_new_code_and_what_cannot_be_loaded_i
         async with robot(system(tmp_path), tmp_path, topic="/front/chat") as made:
             (before,) = (await made.manager.status()).instances
             assert (before.other_nodes, before.changed_files) == ([], [])
-            stand_in.install("demo", ("demo::Talker", "demo::Failing", "demo::Crashing"), text="new")
+            stand_in.install("demo", text="new")
             (outdated,) = (await made.manager.status()).instances
             assert outdated.changed_files == [str(stand_in.prefix / "lib" / "libdemo.so")]
 

@@ -5,7 +5,6 @@ The container is a stand-in for that of rclcpp_components, in C.
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
 from itertools import groupby
@@ -20,59 +19,37 @@ from midstride.plan.request import PlanRequest
 from tests.acceptance.foreign_support import Robot, holes, robot
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
-from tests.composition import StandIn
+from tests.composition import TALKERS, StandIn
 
 # Its types and its container are compiled first, which takes longer than the rest.
 pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.long]
 
-CLASSES = ("demo::Talker", "demo::Maker", "demo::Failing", "demo::Crashing")
-ROBOT = """system grouped
+ROBOT = f"""system grouped
 topic /front/chat  : std_msgs/msg/String @ 45 Hz
 topic /front/other : std_msgs/msg/String @ 45 Hz
 topic /front/made  : std_msgs/msg/String @ 45 Hz
-component Talker {
-  run component "demo::Talker" package "demo" gate preload
-  output out as chatter
-  functionality talk {
-    produces out
-    mode normal { guarantee out : std_msgs/msg/String @ 45 Hz }
-    mode degraded { }
-  }
-}
-component Later like Talker {
-  run component "demo::Talker" package "demo" gate preload
-  parameters { first = 5000 }
-}
-component Maker like Talker { run component "demo::Maker" package "demo" gate preload }
-component Failing like Talker { run component "demo::Failing" package "demo" gate preload }
-component Crashing like Talker { run component "demo::Crashing" package "demo" gate preload }
-namespace front {
-  container pipeline { run "component_container" }
-  node talker : Talker in pipeline {
+{TALKERS}component Maker like Talker {{ run component "demo::Maker" package "demo" gate preload }}
+namespace front {{
+  container pipeline {{ run "component_container" }}
+  node talker : Talker in pipeline {{
     out -> chat
     respawn
-  }
-  node other : Talker in pipeline {
+  }}
+  node other : Talker in pipeline {{
     out -> other
     respawn
-  }
-  node maker : Maker in pipeline {
+  }}
+  node maker : Maker in pipeline {{
     out -> made
     respawn
-  }
-}
+  }}
+}}
 """
 
 
 @pytest.fixture
 def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StandIn:
-    made = StandIn(tmp_path / "prefix")
-    made.install("demo", CLASSES)
-    before = os.environ.get("AMENT_PREFIX_PATH")
-    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{made.prefix}{os.pathsep}{before}" if before else str(made.prefix))
-    monkeypatch.syspath_prepend(made.python)
-    importlib.invalidate_caches()
-    return made
+    return StandIn.in_use(tmp_path, monkeypatch)
 
 
 def system(folder: Path) -> Specification:
@@ -114,7 +91,7 @@ def test_nodes_that_share_a_container_are_replaced_alone_and_moved_together(stan
             assert [each.other_nodes for each in rest] == [[], []]
             one = rest[0]
             assert (one.container, one.process) == ("front/pipeline", "front/pipeline")
-            stand_in.install("demo", CLASSES, text="new")
+            stand_in.install("demo", text="new")
 
             for component, why in (("Failing", "no device"), ("Crashing", "signal 6")):
                 refused = await made.change(component, role="front/talker")

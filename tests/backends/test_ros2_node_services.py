@@ -77,7 +77,13 @@ class Container:
                 self.asked.append(now)
             else:
                 there = ["/front/talker"] if self.asked and now >= self.asked[0] + self.loads else []
-                responses.insert(0, (Mock(request_id=Mock(sequence_number=7)), Mock(full_node_names=there)))
+                responses.insert(
+                    0,
+                    (
+                        Mock(request_id=Mock(sequence_number=7)),
+                        Mock(full_node_names=there, unique_ids=[1][: len(there)]),
+                    ),
+                )
             return 7
 
         client.handle.send_request.side_effect = send

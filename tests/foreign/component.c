@@ -1,9 +1,13 @@
 /* A library with composable nodes: `demo::Talker` publishes "INSTANCE NUMBER TEXT" on `chatter`, 50 times a second,
- * and begins to count after the parameter `first`; `demo::Maker` does so as well, and has made a node `/made/inner`; `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled. */
+ * and begins to count after the parameter `first`; `demo::Maker` does so as well, and has made a node `/made/inner`;
+ * `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled.
+ * The file STAND_IN_FAULTS in its environment has lines `NODE FAULT`: with `abort`, a node of that full name ends the process
+ * as it is made; with `hang`, its constructor does not return as long as that line is there. */
 #include "composable.h"
 
 #include <rosidl_runtime_c/string_functions.h>
 #include <std_msgs/msg/string.h>
+#include <stdbool.h>
 #include <string.h>
 
 #ifndef TEXT
@@ -16,6 +20,19 @@ struct talker {
   long long number;
   rcl_node_t inner;
 };
+
+static bool has_fault(const struct composable *self, const char *fault)
+{
+  const char *path = getenv("STAND_IN_FAULTS");
+  FILE *file = path ? fopen(path, "r") : NULL;
+  char node[300], found[300];
+  bool known = false;
+  while (file && !known && fscanf(file, "%299s %299s", node, found) == 2)
+    known = strcmp(node, rcl_node_get_fully_qualified_name(&self->node)) == 0 && strcmp(found, fault) == 0;
+  if (file)
+    fclose(file);
+  return known;
+}
 
 static void talk(struct composable *self)
 {
@@ -41,8 +58,10 @@ const char *create(struct composable *self, const char *plugin, double (*number_
 {
   if (strcmp(plugin, "demo::Failing") == 0)
     return "Component constructor threw an exception: no device";
-  if (strcmp(plugin, "demo::Crashing") == 0)
+  if (strcmp(plugin, "demo::Crashing") == 0 || has_fault(self, "abort"))
     abort();
+  for (struct timespec moment = {0, 10000000}; has_fault(self, "hang");)
+    nanosleep(&moment, NULL);
   struct talker *talker = calloc(1, sizeof *talker);
   rcl_publisher_options_t options = rcl_publisher_get_default_options();
   options.qos.depth = 1000; /* a listener may be late */

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,7 +33,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     one; ``node`` is empty until it is found. ``container``: the full name of the node that has loaded it, if any.
     ``importing``: the process whose state it was asked to import; ``imported``: that whose state it has imported.
     ``process``: the name of the container's process that it shares with others, if any, and ``process_index`` its part
-    in the page.
+    in the page. ``loaded``: the container has said that it has the node, or none has to load it.
     ``revision`` counts its changes.
     """
 
@@ -64,6 +66,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
     imported: str = ""
     process: str = ""
     process_index: int | None = None
+    loaded: bool = True
     revision: int = 0
 
     @property
@@ -91,6 +94,13 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
             return None
         except (OSError, msgspec.DecodeError) as error:
             raise BackendError(f"{path} cannot be read: {error}") from None
+
+    @classmethod
+    def all(cls, folder: Path) -> Iterator[ForeignRecord]:
+        """Yield all records that can be read."""
+        for path in sorted(folder.glob(f"*{_SUFFIX}")):
+            with suppress(OSError, msgspec.DecodeError):
+                yield msgspec.json.decode(path.read_bytes(), type=cls)
 
     def delete(self, folder: Path) -> None:
         _path(folder, self.instance).unlink(missing_ok=True)

@@ -33,12 +33,14 @@ def change_between(
     measured: Mapping[str, Estimate] | None = None,
     renewed: Collection[str] = (),
     away: Collection[str] = (),
+    apart: Mapping[str, str] = Map(),
 ) -> Change:
     """The change of the whole system to ``target``. Linear in the system.
 
     A role that has no live instance comes, but those ``away``; an instance of no role leaves. The roles ``renewed`` get
-    a new instance even where nothing differs. Raises PlanRefused where either end does not meet the target's caps,
-    capacities, environment or contracts.
+    a new instance even where nothing differs. ``apart``: by role that has none, the container that its last instance
+    had left for a process for itself, which it gets again. Raises PlanRefused where either end does not meet the
+    target's caps, capacities, environment or contracts.
     """
     connectors, identities = _connectors(configuration, target)
     resources = configuration.context.resources.update(target.resources)
@@ -49,7 +51,7 @@ def change_between(
         raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
     raised = best(start)
     baseline = raised if start.context == configuration.context else best(configuration)
-    builder = ChangeBuilder(specification, target, start, identities, renewed)
+    builder = ChangeBuilder(specification, target, start, identities, renewed, apart)
     for role in sorted({*target.nodes, *start.instances_by_role}.difference(away)):
         builder.compare(role)
     pending = tuple(sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index))
@@ -67,15 +69,17 @@ def requested_change(
     request: PlanRequest,
     target: Specification,
     measured: Mapping[str, Estimate] | None = None,
+    apart: Mapping[str, str] = Map(),
 ) -> Change:
     """The change that a request asks for; ``target`` is the specification that it leads to.
 
-    The cost follows the change, unless the request concerns every role. Raises PlanRefused.
+    The cost follows the change, unless the request concerns every role. ``apart`` as for :func:`change_between`. Raises
+    PlanRefused.
     """
     renewed = request.renewed(target)
     if request.to is not None or request.stops_everything:
-        return change_between(configuration, specification, target, measured, renewed)
-    return change_of_roles(configuration, specification, target, request.roles(), measured, renewed)
+        return change_between(configuration, specification, target, measured, renewed, apart=apart)
+    return change_of_roles(configuration, specification, target, request.roles(), measured, renewed, apart)
 
 
 def change_of_roles(
@@ -85,13 +89,14 @@ def change_of_roles(
     roles: Iterable[str],
     measured: Mapping[str, Estimate] | None = None,
     renewed: Collection[str] = (),
+    apart: Mapping[str, str] = Map(),
 ) -> Change:
     """The change where ``target`` differs from ``specification`` only in the nodes ``roles``.
 
     The cost follows the roles and their forward cone, not the size of the system. ``configuration`` must be in its
-    best modes. Raises PlanRefused as :func:`change_between` does.
+    best modes. ``apart`` as for :func:`change_between`, which raises PlanRefused as this does.
     """
-    builder = ChangeBuilder(specification, target, configuration, {}, renewed)
+    builder = ChangeBuilder(specification, target, configuration, {}, renewed, apart)
     for role in sorted(set(roles)):
         builder.compare(role)
     return builder.change(builder.final(()), measured)
@@ -107,9 +112,10 @@ class ChangeBuilder:
         start: Configuration,
         identities: dict[str, str],
         renewed: Collection[str],
+        apart: Mapping[str, str],
     ) -> None:
         self.specification, self.target, self.start, self.identities = specification, target, start, identities
-        self.renewed = renewed
+        self.renewed, self.apart = renewed, apart
         self.leaving: list[str] = []
         self.coming: dict[str, Instance] = {}
         self.replaced: dict[str, str] = {}
@@ -203,7 +209,8 @@ class ChangeBuilder:
         """Say in which process of its container each new instance is.
 
         A replacement is beside the others for itself: it runs what its library has now, and may fail. An instance that
-        replaces none joins those that stay. Where none stays, all are together again, in a new process.
+        replaces none joins those that stay, unless the one before it had left them. Where none stays, all the others
+        are together again, in a new process.
         """
         containers = {
             each.container.name: each.container for each in self.coming.values() if each.container is not None
@@ -216,7 +223,8 @@ class ChangeBuilder:
             together = stay[0] if stay else name if name not in taken else fresh_name(name, *known)
             for instance in list(self.coming.values()):
                 if instance.container is not None and instance.container.name == name:
-                    alone = bool(stay) and instance.name in self.replaced.values()
+                    alone = self.apart.get(instance.role) == name
+                    alone |= bool(stay) and instance.name in self.replaced.values()
                     self.coming[instance.name] = replace(instance, process="" if alone else together)
 
     # -- all roles together ----------------------------------------------------------------------------

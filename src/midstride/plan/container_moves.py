@@ -13,10 +13,16 @@ def in_words(change: Change) -> Iterator[str]:
     moved: dict[str, list[str]] = {}
     old = {new: before for before, new in change.replaced.items()}
     for instance in change.coming:
-        if instance.container is None or instance.name not in old:
+        if instance.container is None:
             continue
         container = instance.container.name
-        if instance.process:
+        if instance.name not in old:
+            if not instance.process:
+                yield (
+                    f"{instance.name} starts in a process for itself: the one before it had left {container}, or that "
+                    f"had exited or hung while loading it; `midstride restart {container}` brings all together again"
+                )
+        elif instance.process:
             moved.setdefault(instance.process, []).append(instance.role)
         else:
             yield (

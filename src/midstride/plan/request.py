@@ -118,6 +118,11 @@ class PlanRequest:
 
         return replace(self, restart=named(self.restart), remove=named(self.remove))
 
+    def together(self, specification: Specification) -> set[str]:
+        """The roles of the containers that it names to restart: all of them share one process afterwards."""
+        named = (name for name in self.restart if name in specification.containers)
+        return {role for name in named for role in specification.members_of(name)}
+
     def for_roles(self, role_of: Mapping[str, str]) -> PlanRequest:
         """The request with the role of each instance that it names (``role_of`` has them): a request is for roles."""
 

@@ -48,7 +48,7 @@ class Launch:
     does not use Midstride's API. ``foreign``: the component, where its program does not use Midstride's API;
     ``topics`` then has those of its ports. ``load``: what is loaded into the process once it runs, where the program is
     a component container. ``process``: the name of that container, where others are loaded into it as well; the first
-    of them starts it. Empty where it has one for itself.
+    of them starts it. Empty where it has one for itself. ``returns``: a roll-back starts it again, as it was.
     """
 
     instance: str
@@ -71,6 +71,7 @@ class Launch:
     role: str = ""
     load: LoadWords | None = None
     process: str = ""
+    returns: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +102,14 @@ class Exited:
     """A component's process exited. ``status`` is negative for a signal, None if unknown.
 
     ``because``: why it is missing, where there is more to say: why it could not be started, or what to state.
+    ``loading``: the process of a container has exited, or has not answered, while it was loading the instance.
     """
 
     instance: str
     status: int | None
     log_tail: str = ""
     because: str | None = None
+    loading: bool = False
 
     @property
     def words(self) -> str:

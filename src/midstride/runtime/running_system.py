@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from midstride.errors import ManagerError
-from midstride.model.configuration import Configuration
+from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.plan.request import require
 from midstride.runtime.backend_protocol import Exited, OtherNodes
@@ -21,6 +21,8 @@ class RunningSystem:
     ``life`` knows what became of each instance. ``values``: the parameter values that were set at run time.
     ``other_nodes``: by instance, the nodes that its end would end as well, as they were when last asked for.
     ``exported``: by role, the state of an instance that a change has removed before its successor was there.
+    ``apart``: by role without an instance, the container that its last one had left for a process for itself, or that
+    has exited or hung while it loaded that: the next one starts in a process for itself.
     ``file`` was brought up or applied last, and ``changed_since``: another command has changed the specification then.
     """
 
@@ -33,6 +35,7 @@ class RunningSystem:
     values: ReportedValues = field(default_factory=ReportedValues)
     other_nodes: dict[str, OtherNodes] = field(default_factory=dict)
     exported: dict[str, LeftState] = field(default_factory=dict)
+    apart: dict[str, str] = field(default_factory=dict)
 
     def has_instance(self, role: str) -> bool:
         """Return whether an instance has that role: it answers requests until its successor is to."""
@@ -76,8 +79,19 @@ class RunningSystem:
         crashes = self.crashes.get(role)
         return crashes[-1].details if crashes else None
 
+    def gone(self, instance: Instance) -> None:
+        """An instance of the model has exited unexpectedly: the next one of its role starts where it was."""
+        self.apart.pop(instance.role, None)
+        if instance.container is not None and not instance.process:
+            self.apart[instance.role] = instance.container.name
+
+    def _is_apart(self, role: str, container: str) -> bool:
+        node = self.specification.nodes.get(role)
+        return node is not None and node.container == container and not self.has_instance(role)
+
     def forget_filled_roles(self) -> None:
         """Forget missing instances whose role has an instance again, or has been removed from the specification."""
+        self.apart = {role: name for role, name in self.apart.items() if self._is_apart(role, name)}
         for name in self.life.missing:
             if (role := self.role_of_missing(name)) is None or self.has_instance(role):
                 self.life.record(name, ProcessEvent.REPLACED)

@@ -244,7 +244,9 @@ def decode_plan(document: object) -> Plan:
     measured = {key: Estimate(*each) for key, each in (form.measured or {}).items()}
     created = {step.role for step in form.steps if isinstance(step, CreateStep)}
     away = [role for role in start.nodes if not origin.instances_of(role) and role not in created]
-    change = change_between(origin, start, target, measured, away=away)
+    creating = (step for step in form.steps if isinstance(step, CreateStep) and not step.process)
+    apart = {step.role: step.container.name for step in creating if step.container is not UNSET}
+    change = change_between(origin, start, target, measured, away=away, apart=apart)
     try:
         detours = (Detour(each.role, each.moved, each.stand_in) for each in form.detours or ())
         change = with_detours(change, detours)

@@ -210,7 +210,12 @@ class ActionDriver:
         others = [each.name for each in self.configuration.instances_of(instance.role) if each.name != instance.name]
         predecessor = others[0] if others and not self.system.life.is_gone(others[0]) else ""
         return await self.launcher.start(
-            instance, standby=standby, start_values=start_values, topics=topics, predecessor=predecessor
+            instance,
+            standby=standby,
+            start_values=start_values,
+            topics=topics,
+            predecessor=predecessor,
+            returns=self.rolling_back,
         )
 
     def _topics(self, instance: Instance) -> dict[str, str]:

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
 
+from immutables import Map
 from msgspec import UNSET, UnsetType, structs
 
 from midstride.codec.parameter import from_json
@@ -128,14 +129,27 @@ class ChangeSession:
         unknown = system.values.unknown_by_role(system.configuration)
         instances, nodes = system.configuration.instances.items(), system.specification.nodes
         request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
-        request = request.for_members(request.to or system.specification)
+        specification = request.to or system.specification
+        together = request.together(specification)
+        apart = {role: name for role, name in system.apart.items() if role not in together}
+        request = request.for_members(specification)
         measured = dict(self.journal.estimates)
         request, orders, remarks = with_stalled_first(request, system.configuration, self.monitor.undiscovering)
         away = [role for role in system.crashes if not system.has_instance(role)]
         away = [role for role in away if request.stays_away(role, system.specification)]
         said = await self._said([role for role, _ in request.parameters])
         plan, target = await asyncio.to_thread(
-            _plan, request, system.specification, system.configuration, values, measured, orders, away, unknown, said
+            _plan,
+            request,
+            system.specification,
+            system.configuration,
+            values,
+            measured,
+            orders,
+            away,
+            unknown,
+            said,
+            apart,
         )
         require_arbiters(plan)
         unseen = await require_unmanaged(plan, self.client)
@@ -460,6 +474,7 @@ class ChangeSession:
             await response.close()
         system.values.forget_ended(system.configuration)
         self.reconciler.save_values()
+        self.store.write_apart(system.apart)
         self.store.write_carried({})
         driver.forget_exported()
         ended = self.clock.steady()
@@ -518,11 +533,13 @@ def _plan(
     away: Collection[str] = (),
     unknown: Mapping[str, Mapping[str, Origin]] | None = None,
     said: Mapping[str, Values] | None = None,
+    apart: Mapping[str, str] = Map(),
 ) -> tuple[Plan, Specification]:
     """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first.
 
     The roles ``away`` do not run, and the plan leaves them so. ``unknown``: by role, the parameters of unknown origin.
-    ``said``: the values of those instances whose parameters are to be set.
+    ``said``: the values of those instances whose parameters are to be set. ``apart``: by role, the container that its
+    last instance had left.
     """
     target, keep = request.target(specification), not request.declared_parameters
     if request.restore:
@@ -533,9 +550,10 @@ def _plan(
     if request.to is not None and not keep:
         configuration = _as_set(configuration, values)
     if request.to is None and len(request.roles()) == 1:
-        change = requested_change(configuration, specification, request, planned, measured)
+        change = requested_change(configuration, specification, request, planned, measured, apart)
     else:
-        change = change_between(configuration, specification, planned, measured, request.renewed(planned), away)
+        renewed = request.renewed(planned)
+        change = change_between(configuration, specification, planned, measured, renewed, away, apart)
     plan = planner(request.strategy, detours=request.detours)(change)
     parameters = of_change(plan.change, values, keep=keep, unknown=unknown)
     doubt = sensitivity(plan)

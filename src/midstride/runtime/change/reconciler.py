@@ -148,6 +148,8 @@ class Reconciler:
             event = replace(event, because=f"{event.details}{hint}")
         if (others := self.system.other_nodes.get(event.instance)) is not None and others.nodes:
             event = replace(event, because=f"{event.details}; with it ended {others.in_words}")
+        if event.loading:
+            self._keep_apart(event.instance)
         self.system.life.exited(event)
         self.events.add("exited", event.details, log=event.log_tail)
         change = self.commands.change
@@ -157,6 +159,19 @@ class Reconciler:
             self._in_background(change.crashed())
         else:
             self._reconcile_soon()
+
+    def _keep_apart(self, name: str) -> None:
+        """A container has exited or hung while it loaded ``name``: the next of its role has a process for itself."""
+        if (change := self.commands.change) is None:
+            return
+        instance = change.plan.change.instance(name)
+        if instance.container is None or not instance.process:
+            return
+        self.system.apart[instance.role] = instance.container.name
+        self.store.write_apart(self.system.apart)
+        because = f"{instance.process} exited, or did not answer, while it was loading {name}"
+        until = f"`midstride restart {instance.container.name}`"
+        self.events.add("note", f"{instance.role} is not loaded beside others again until {until}: {because}")
 
     @contextlib.asynccontextmanager
     async def command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
@@ -233,6 +248,8 @@ class Reconciler:
             for name in exits:  # also one that the model has no more: another process may get its name
                 self.client.disconnect(name)
             for name in crashed:
+                self.system.gone(configuration.instances[name])
+                self.store.write_apart(self.system.apart)  # first: a manager that is killed in between finds it
                 self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.system.life)
             configuration, touched, because = self._take_over_reported(configuration)

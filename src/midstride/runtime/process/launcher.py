@@ -92,7 +92,7 @@ class Launcher:
         self._unfinished: dict[str, str] = {}  # in which way the `on_stop` of those that end has failed
         self._life = client.life
         # Called with an instance whose end was cut short, the seconds that it had, words, and in which way: False if a
-        # process had to be killed, True if it has ended by itself and left something undone, as where `on_stop` fails.
+        # process had to be killed, True if it was not killed, and could not finish, as where `on_stop` fails.
         self.on_killed: Callable[[str, float, str, bool], object] | None = None
         # Called with an instance that is about to be ended, and the other nodes that end with it.
         self.on_ending: Callable[[str, OtherNodes], object] | None = None
@@ -151,14 +151,15 @@ class Launcher:
         start_values: Callable[[Instance], dict[str, Any]] = lambda _: {},
         topics: Mapping[str, str] = Map(),
         predecessor: str = "",
+        returns: bool = False,
     ) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
         Returns False if it is already starting. A component without ``run`` is started by hand. ``standby``: another
         instance of its role answers requests. ``start_values``: the values of parameters that it starts with instead of
         the declared ones. ``topics``: those of its ports, which a program without Midstride's API is started with.
-        ``predecessor``: the instance of its role that runs until this one is up.
-        Raises StartFailed, or what ``start_values`` raises.
+        ``predecessor``: the instance of its role that runs until this one is up. ``returns``: a roll-back starts it
+        again. Raises StartFailed, or what ``start_values`` raises.
         """
         name = instance.name
         if name in self.pending:
@@ -182,6 +183,7 @@ class Launcher:
                 standby=standby,
                 topics=topics,
                 predecessor=predecessor,
+                returns=returns,
             )
             self._life.started(name, await self._backend.start(launch))
         except BaseException:

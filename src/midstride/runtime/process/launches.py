@@ -31,6 +31,7 @@ def launch_of(
     standby: bool = False,
     topics: Mapping[str, str] = Map(),
     predecessor: str = "",
+    returns: bool = False,
 ) -> Launch:
     """How ``instance``, whose component has a `run` command, is started on ``backend``.
 
@@ -101,4 +102,5 @@ def launch_of(
         instance.role,
         load,
         instance.process,
+        returns,
     )

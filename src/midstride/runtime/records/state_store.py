@@ -55,6 +55,8 @@ _VALUES: Final = "values of "
 _CARRIED: Final = "carried"
 # Before the name of a role, for the state that its last instance has exported.
 _EXPORTED: Final = "exported of "
+# The roles without an instance whose last one had left its container.
+_APART: Final = "apart"
 _LOCK: Final = "lock"
 # Instead of the handle of an instance whose program has ended as it should.
 _DONE: Final = "done"
@@ -84,7 +86,8 @@ class SavedState:
 
     ``values``: by role, the parameter values that were set at run time. ``carried``: by instance, those when a change
     that has not ended last carried them over. ``exported``: by role, the state of an instance that such a change has
-    removed before its successor was there. ``file`` was brought up or applied last, if any, and ``changed_since``:
+    removed before its successor was there. ``apart``: by role that has none, the container that its last instance had
+    left. ``file`` was brought up or applied last, if any, and ``changed_since``:
     another command has changed the specification then. ``lock``: a person has locked it.
     ``reach``: as of :meth:`midstride.runtime.backend_protocol.Backend.reach`.
     """
@@ -101,6 +104,7 @@ class SavedState:
     reach: dict[str, str] = field(default_factory=dict)
     carried: dict[str, dict[str, Any]] = field(default_factory=dict)
     exported: dict[str, LeftState] = field(default_factory=dict)
+    apart: dict[str, str] = field(default_factory=dict)
 
 
 class StateStore:
@@ -117,6 +121,7 @@ class StateStore:
         self._database: Database | None = None
         self._specification = Specification("")  # as last written
         self._carried: dict[str, dict[str, Any]] = {}  # as last written
+        self._apart: dict[str, str] = {}  # as last written
         self._pending: _Statements = {}  # writes that failed
         self._lease = Lease("system")
 
@@ -143,6 +148,7 @@ class StateStore:
                 rows = database.read("SELECT form, handle FROM instances ORDER BY name")
             carried = msgspec.json.decode(system.get(_CARRIED, "{}"), type=dict[str, dict[str, Any]])
             self._carried = {name: _values(forms) for name, forms in carried.items()}
+            self._apart = msgspec.json.decode(system.get(_APART, "{}"), type=dict[str, str])
             return SavedState(
                 system["backend"],
                 system["token"],
@@ -164,6 +170,7 @@ class StateStore:
                     for key, value in system.items()
                     if key.startswith(_EXPORTED)
                 },
+                dict(self._apart),
             )
         except ManagerError:
             raise
@@ -291,6 +298,12 @@ class StateStore:
         else:
             self._write({key: ("DELETE FROM system WHERE key = ?", (key,))})
 
+    def write_apart(self, apart: Mapping[str, str]) -> None:
+        """By role without an instance, the container that its last one had left for a process for itself."""
+        if apart != self._apart:
+            self._apart = dict(apart)
+            self._write(_puts(_APART, msgspec.json.encode(self._apart).decode()))
+
     def write_lock(self, lock: ChangeLock | None) -> None:
         """A person has locked the system, or None: the lock has ended."""
         if lock is not None:
@@ -309,7 +322,7 @@ class StateStore:
         self.close()
         self._disk.remove(self.path)
         self._lease.renew()
-        self._carried = {}
+        self._carried, self._apart = {}, {}
 
     def close(self) -> None:
         database, self._database = self._database, None

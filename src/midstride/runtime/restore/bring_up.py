@@ -71,7 +71,7 @@ class BringUp:
                 is_new=is_new and not missing,
                 partial=not (alone and self.options.strict),
             ):
-                missing |= left_out
+                missing |= self._failed(left_out)
                 await self.reconciler.reconcile_all(f"{', '.join(left_out)} could not be started")
         except (PlanRefused, StepFailed) as error:
             if alone or not gone or self._broken_off:
@@ -88,6 +88,15 @@ class BringUp:
         if missing and not self.system.configuration.instances and not any(nodes[role].respawn for role in missing):
             raise StepFailed("; ".join(missing.values()), "rolled_back")
         return missing
+
+    def _failed(self, left_out: dict[str, str]) -> dict[str, str]:
+        """Those ``left_out`` that are not tried again: not the ones whose container has exited or hung with another.
+
+        That other one is apart from them from now on, and counts as failed.
+        """
+        nodes, apart = self.system.specification.nodes, self.system.apart
+        at_fault = {apart[role] for role in left_out if role in apart}
+        return {role: why for role, why in left_out.items() if role in apart or nodes[role].container not in at_fault}
 
     async def finish(self, absent: Collection[str], interrupted: Sequence[Interrupted]) -> bool:
         """Finish the change that an earlier manager began, if that is the system's policy; whether that was possible.
@@ -124,7 +133,7 @@ class BringUp:
         for role in absent:
             if role in target.nodes:
                 target = target.without_node(role)
-        change = change_between(self.system.configuration, running, target)
+        change = change_between(self.system.configuration, running, target, apart=system.apart)
         values, configuration = self.system.values, self.system.configuration
         unknown = values.unknown_by_role(configuration)
         parameters = of_change(change, values.by_role(configuration), unknown=unknown)
@@ -205,7 +214,7 @@ class BringUp:
                 f"{self.workspace} is running with another specification; "
                 "`midstride apply` changes a running system, `midstride down` ends it"
             )
-        self.system.values.saved = dict(saved.values)
+        self.system.values.saved, self.system.apart = dict(saved.values), dict(saved.apart)
         values = HalfDoneValues(self.client, self.system.values, saved.carried, self.system.specification, interrupted)
         half_done = HalfDone(self.launcher, self.client, self.events, values)
         targets = [change.target for change in interrupted]
@@ -219,12 +228,17 @@ class BringUp:
         running = self.system.configuration.instances
         gone = [each.instance for each in saved.instances if each.instance.name not in running]
         for instance in gone:
+            if not instance.component.once:
+                self.system.gone(instance)
+        self.store.write_apart(self.system.apart)
+        for instance in gone:
             self.store.remove_instance(instance.name)
             if instance.component.once:  # it runs again, or another one counts
                 continue
             self.system.life.missed(instance.name, instance.role, Exited(instance.name, None))
         self.system.forget_filled_roles()
         self.reconciler.save_values()
+        self.store.write_apart(self.system.apart)
         names = ", ".join(instance.name for instance in gone if not instance.component.once)
         await self.reconciler.reconcile_all(f"{names} exited" if names else "what it relied on was gone")
         if any(isinstance(error, CommandRefused) for error in self.reconciler.pending.values()):

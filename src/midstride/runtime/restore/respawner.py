@@ -189,9 +189,11 @@ class Respawner(ReconciliationObserver):
         except Exception as error:  # nothing awaits this task, so errors are logged here
             log.exception("%s failed", words)
             failed = f"{words} failed: {error}"
+        # One that its container could not load is apart from now on, and the others try again together.
+        at_fault = any(each in self.system.apart for each in (role, *(other for other, _ in beside)))
         for each, its in ((role, record), *beside):
             its.carrying_out, its.task = False, None
-            its.by_itself = failed is not None and (its.by_itself or bool(beside))
+            its.by_itself = failed is not None and (its.by_itself or (bool(beside) and not at_fault))
             if self.system.has_instance(each):
                 its.attempts.runs_since = self.clock.steady()
             elif failed is not None and (policy := self._policy(each)) is not None and not self._stopped:
@@ -205,14 +207,14 @@ class Respawner(ReconciliationObserver):
         """The nodes that share a container with ``role`` and are to be restarted now: one plan restores all of them.
 
         The restarts are counted for each of them. Where one has failed, they are restarted one by one from then on, so
-        that a node that cannot start keeps no other one away.
+        that a node that cannot start keeps no other one away. One with a process for itself is always restarted alone.
         """
-        nodes = self.system.specification.nodes
-        container = None if role not in nodes else nodes[role].container
+        nodes, apart = self.system.specification.nodes, self.system.apart
+        container = None if role not in nodes or role in apart else nodes[role].container
         found = []
         for other in () if container is None else self.system.specification.members_of(container):
             record = self._records.get(other)
-            if record is None or other == role or record.task is None or record.due is None:
+            if record is None or other == role or other in apart or record.task is None or record.due is None:
                 continue
             if record.falls_back or record.by_itself:
                 continue

@@ -12,7 +12,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Collection, Container, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -34,23 +34,21 @@ from midstride.backends.ros2.component.early_join import hidden_node
 from midstride.backends.ros2.manager import component_containers, launching, process_nodes
 from midstride.backends.ros2.manager.addressed_services import AddressedServices
 from midstride.backends.ros2.manager.component_containers import LoadRequest
-from midstride.backends.ros2.manager.container_services import ContainerServices
+from midstride.backends.ros2.manager.container_backend import ContainerBackend
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_owner import node_owner
 from midstride.backends.ros2.manager.node_services import RosNodeServices
 from midstride.backends.ros2.manager.own_names import StartName, named
-from midstride.backends.ros2.manager.shared_processes import KnownNames, SharedProcess, SharedProcesses
+from midstride.backends.ros2.manager.shared_processes import SharedProcesses
 from midstride.backends.ros2.manager.start_arguments import StartArguments
 from midstride.backends.ros2.manager.topic_listener import RosListener
-from midstride.errors import BackendError, NodeError, StartFailed, Unreachable
+from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.page import GATES_FOLDER, Page
 from midstride.foreign.preloading import StartedPrograms
-from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import differing
-from midstride.model import wording
-from midstride.model.component import DEFAULT_STOP, KILL_AT_ONCE, ROS_PARAMETERS, ComponentSpec, StopTimes
+from midstride.model.component import KILL_AT_ONCE, ROS_PARAMETERS, ComponentSpec
 from midstride.model.contract import Predicate
 from midstride.model.instance_names import full_name
 from midstride.runtime.backend_protocol import (
@@ -61,28 +59,24 @@ from midstride.runtime.backend_protocol import (
     Handle,
     Launch,
     OtherNodes,
-    RemainingProcess,
 )
-from midstride.runtime.process.child_process import Process, find
-from midstride.runtime.process.family import mark_of
+from midstride.runtime.process.child_process import Process
 from midstride.runtime.process.reaper import Reaper
 from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.timeouts import within
-from midstride.wire.environment import ENV_INSTANCE, ENV_SHARED_NAME, ENV_START
+from midstride.wire.environment import ENV_SHARED_NAME, ENV_START
 from midstride.wire.state import ComponentState
 
 # A manager that has just joined knows no other node yet: that long it listens before it says that a name is free (s).
 _LISTEN: Final = 0.3
 # How long leaving ROS 2 may take (s).
 _LEAVE: Final = 5.0
-# How long a container may take to say what it has loaded, once it has not loaded a node (s).
-_UNLOAD: Final = 2.0
 _RELAY: Final = "midstride.backends.ros2.component.relay_program"
 
 log = logging.getLogger(__name__)
 
 
-class Ros2Backend(ProcessBackend, Backend):
+class Ros2Backend(ContainerBackend, Backend):
     """``middleware_settings``: whether processes get Midstride's transports and discovery (:mod:`..dds_profiles`)."""
 
     name = "ros2"
@@ -138,6 +132,7 @@ class Ros2Backend(ProcessBackend, Backend):
 
     async def close(self) -> None:
         await self._stop_watching()
+        self._shared.close()
         await self._foreign_nodes.close()
         if self._context is not None:
             context, self._context = self._context, None
@@ -194,6 +189,7 @@ class Ros2Backend(ProcessBackend, Backend):
         graph = self._joined()
         if launch.load is not None:
             component_containers.require_interfaces()
+            self._shared.require_not_loading(launch)
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         start_name = StartName(own_name)
         if launch.foreign is None:
@@ -238,102 +234,19 @@ class Ros2Backend(ProcessBackend, Backend):
             launch, launch.foreign, start_name.full or own_name, programs
         )
         record = msgspec.structs.replace(record, unnamed=not start_name.passed)
-        try:
+
+        async def end() -> None:
+            await ProcessBackend.end(self, launch.instance, KILL_AT_ONCE)
+            self._foreign_nodes.discard(record)
+
+        async with self._or_ended(launch, end):
             if not start_name.shared:
                 graph.starts(start_name.full or own_name)
             command = (*command, *self._arguments.of(launch, launch.foreign, start_name))
             handle = await self._spawn(launch, own_name, command, environment)
             request = self._arguments.load_request(launch, launch.foreign, start_name)
             await self._foreign_nodes.started(record, handle, request)
-        except BaseException as error:  # a process without an agent must not keep running
-            await super().end(launch.instance, KILL_AT_ONCE)
-            self._foreign_nodes.discard(record)
-            if isinstance(error, NodeError):
-                raise StartFailed(f"{launch.instance}: {error}") from error
-            raise
         return handle
-
-    async def _start_shared(
-        self,
-        launch: Launch,
-        component: ComponentSpec,
-        name: StartName,
-        command: Sequence[str],
-        programs: StartedPrograms,
-    ) -> Handle:
-        """Load the node into the process of its container, which is started where it does not run."""
-        async with self._shared.starting(launch):
-            shared = self._shared.get(launch.process)
-            if shared is None:
-                shared = await self._start_container(launch, component, name, command, programs)
-            elif launch.load is not None:
-                library = component_library(component.package or "", launch.load.plugin, os.environ)
-                shared.require_current(launch.instance, Path(library))
-            shared.members.add(launch.instance)
-        self._processes[launch.instance] = shared.process
-        try:
-            if not name.shared:
-                self._joined().starts(name.full)
-            _, record = await self._foreign_nodes.prepare(launch, component, name.full, programs, shared)
-            process = shared.process
-            log_file = None if process.log is None else str(process.log)
-            handle = Handle(launch.instance, process.pid, process.started, log_file)
-            request = self._arguments.load_request(launch, component, name)
-            await self._foreign_nodes.started(record, handle, request)
-        except BaseException as error:
-            await self.end(launch.instance, KILL_AT_ONCE if len(shared.members) == 1 else DEFAULT_STOP)
-            if isinstance(error, NodeError):
-                raise StartFailed(f"{launch.instance}: {error}") from error
-            raise
-        return handle
-
-    async def _start_container(
-        self,
-        launch: Launch,
-        component: ComponentSpec,
-        name: StartName,
-        command: Sequence[str],
-        programs: StartedPrograms,
-    ) -> SharedProcess:
-        """Start the process of the container that a launch is for, with nothing loaded into it."""
-        own = full_name(launch.process)
-        if self._joined().has(own):
-            raise StartFailed(
-                f"{launch.instance}: a node {own} is running already, and its container is to have that name: "
-                f"{node_owner(self._joined(), own, self._control)}"
-            )
-        self._joined().starts(own)
-        variables, index = await self._foreign_nodes.prepare_shared(launch, component, programs)
-        try:
-            of_container = replace(launch, instance=launch.process, node=launch.process)
-            variables |= processes.identity(of_container, self.name, self._control)
-            arguments = self._arguments.of(launch, component, name)
-            handle = await self._spawn(of_container, own, (*command, *arguments), variables)
-        except BaseException:
-            self._foreign_nodes.discard_shared(launch.process, index)
-            raise
-        process = self._processes.pop(handle.instance)
-        return self._share(SharedProcess(launch.process, process, index))
-
-    def _share(self, shared: SharedProcess) -> SharedProcess:
-        """Watch a process with several instances: all of them end with it."""
-
-        def exited(status: int | None) -> None:
-            self._shared_has_ended(shared, wording.exited(status))
-
-        shared.process.on_exit = exited
-        return self._shared.add(shared)
-
-    def _shared_has_ended(self, shared: SharedProcess, how: str) -> None:
-        self._shared.remove(shared)
-        members, ended = sorted(shared.members), [shared.left_by(each, how) for each in sorted(shared.members)]
-        shared.members.clear()
-        for instance in members:
-            self._forget(instance, shared.process)
-            self._gone(instance)
-        self._foreign_nodes.discard_shared(shared.name, shared.index)
-        for each in ended:
-            self._on_exit(each)
 
     async def _start_relay(
         self,
@@ -359,111 +272,14 @@ class Ros2Backend(ProcessBackend, Backend):
             raise
 
     async def adopt(self, handle: Handle) -> bool:
-        runs = self._adopt_shared(handle) if handle.instance not in self._processes else True
+        runs = await self._adopt_shared(handle) if handle.instance not in self._processes else True
         if runs is None:
             runs = await super().adopt(handle)
         if runs:
             await self._foreign_nodes.adopt(handle.instance)
-        else:
+        elif not self._shared.is_unanswered(handle.instance):
             self._foreign_nodes.gone(handle.instance)
         return runs
-
-    def _adopt_shared(self, handle: Handle) -> bool | None:
-        """Take over a node that was loaded into a container that others share; whether it runs, None for any other."""
-        record = self._foreign_nodes.record_of(handle.instance)
-        if record is None or not record.process or handle.pid is None or handle.started is None:
-            return None
-        shared = self._shared.get(record.process)
-        if shared is None:
-            log_file = None if handle.log is None else Path(handle.log)
-            process = find(handle.pid, handle.started, ENV_INSTANCE, record.process, log_file)
-            if process is None:
-                return False
-            process.mark = mark_of(process.pid)
-            self._watch(handle.instance, process)
-            shared = self._share(SharedProcess(record.process, process, record.process_index))
-        elif (shared.process.pid, shared.process.started) != (handle.pid, handle.started):
-            return False
-        shared.members.add(handle.instance)
-        self._processes[handle.instance] = shared.process
-        return shared.process.running
-
-    async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
-        return await super().end_orphans(token, KnownNames((known, {*self._shared})), stop)
-
-    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
-        if stop.longest:
-            await self._foreign_nodes.finish(instance)
-        if (shared := self._shared.of(instance)) is None:
-            return await super().end(instance, stop)
-        if len(shared.members) > 1 and stop.longest:
-            await self._unload(shared, instance, stop.longest)
-            return []
-        killed = await super().end(instance, stop)
-        shared.members.discard(instance)
-        self._shared_has_ended(shared, f"was killed with {instance}, which did not answer")
-        return killed
-
-    async def _unload(self, shared: SharedProcess, instance: str, longest: float) -> None:
-        """End one of several instances of a process, which goes on. Raises BackendError where that is not possible."""
-        record = self._foreign_nodes.record_of(instance)  # also of one that nothing answers for yet
-        node = full_name(instance) if record is None else record.node
-        shared.members.discard(instance)
-        services = ContainerServices(self._node, full_name(shared.name))
-        try:
-            async with shared.loading:
-                unloading = asyncio.ensure_future(services.unload(node, longest))
-                over = asyncio.ensure_future(shared.process.wait())
-                try:
-                    await asyncio.wait((unloading, over), return_when=asyncio.FIRST_COMPLETED)
-                    if unloading.done():
-                        unloading.result()
-                finally:
-                    unloading.cancel()
-                    over.cancel()
-        except BackendError as error:
-            if shared.process.running:
-                shared.members.add(instance)
-                raise BackendError(
-                    f"{instance} goes on in {shared.name}: {error}. It can only end with its container, by "
-                    f"`midstride restart {shared.name}`, or when that is killed (process {shared.process.pid})"
-                ) from None
-        finally:
-            if self._context is not None:
-                services.close()
-        self._processes.pop(instance, None)
-        self._foreign_nodes.gone(instance)
-
-    async def _load(self, record: ForeignRecord, request: LoadRequest, timeout: float) -> None:
-        shared = self._shared.of(record.instance)
-        services = ContainerServices(self._node, request.container)
-        try:
-            async with contextlib.nullcontext() if shared is None else shared.loading:
-                self._foreign_nodes.loads(record, now=True)
-                try:
-                    await services.load(request, timeout)
-                finally:
-                    self._foreign_nodes.loads(record, now=False)
-        finally:
-            if self._context is not None:
-                services.close()
-
-    async def _not_loaded(self, instance: str, why: str) -> None:
-        """End a container whose node could not be loaded: it would be a process without the node.
-
-        One that others share goes on; what it may have loaded all the same is unloaded.
-        """
-        if (process := self._processes.get(instance)) is None:
-            return
-        shared = self._shared.of(instance)
-        if shared is not None and len(shared.members) > 1:
-            try:
-                await self._unload(shared, instance, _UNLOAD)
-            except BackendError as error:
-                log.error("%s", error)
-        else:
-            await self.end(instance, KILL_AT_ONCE)
-        self._on_exit(Exited(instance, None, process.last_words(), f"{instance} cannot be started: {why}"))
 
     def executable(self, package: str, name: str, *, composable: bool = False) -> str | None:
         find = component_library if composable else executable

@@ -175,6 +175,10 @@ class ForeignNodes:
         if index is not None and self._page is not None:
             self._page.free(index)
 
+    def records(self) -> list[ForeignRecord]:
+        """Those that can be read, also of an earlier manager."""
+        return [*ForeignRecord.all(self._folder)]
+
     def record_of(self, instance: str) -> ForeignRecord | None:
         """Read what an earlier manager has left of an instance; None where there is nothing. Raises BackendError."""
         return ForeignRecord.read(self._folder, instance)
@@ -346,7 +350,7 @@ class ForeignNodes:
 
         ``request``: what loads the node into it.
         """
-        record = replace(record, pid=handle.pid or 0)
+        record = replace(record, pid=handle.pid or 0, loaded=request is None)
         record.write(self._folder)
         if request is None or self._load is None:
             await self._answer_once_known(record)
@@ -357,6 +361,8 @@ class ForeignNodes:
         """Answer for the node once it is loaded; else it is said why it cannot be started."""
         try:
             await load(record, request, endpoints_seconds(record.declaration.declared()))
+            record = replace(record, loaded=True)
+            record.write(self._folder)
             await self._answer_once_known(record)
         except Exception as error:  # rclpy's too, of a value that no message can have; nothing awaits this task
             if not isinstance(error, MidstrideError):
@@ -439,6 +445,19 @@ class ForeignNodes:
         if record.process_index is not None and self._page is not None:
             self._page.loads(record.process_index, record.index if now else None)
 
+    async def is_loading(self, record: ForeignRecord) -> Callable[[], bool]:
+        """Return what says whether the container of ``record`` is loading a node.
+
+        Without the library in it, that is taken to be over when the node has had the time that it may take.
+        """
+        index = record.process_index
+        if index is not None:
+            with suppress(BackendError):
+                page, _ = await self._opened(os.environ)
+                return lambda: page.is_loading(index)
+        over = time.monotonic() + endpoints_seconds(record.declaration.declared())
+        return lambda: time.monotonic() < over
+
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
         record = ForeignRecord.read(self._folder, instance)
@@ -520,6 +539,10 @@ class ForeignNodes:
                 if (found := ForeignRecord.read(self._folder, instance)) is None:
                     return
                 record = found
+        self.forget(record)
+
+    def forget(self, record: ForeignRecord) -> None:
+        """The node of ``record`` is not there any more: its part of the page is free."""
         record.delete(self._folder)
         self.discard(record)
 

@@ -168,7 +168,7 @@ class RosNodeServices:
 
     async def _response(self, type_: Any, service: str, timeout: float, request: Any, lost: Lost | None) -> Any:
         loop = asyncio.get_running_loop()
-        deadline = loop.time() + timeout
+        deadline = (begun := loop.time()) + timeout
         name = f"{self._name}/{service}"
         while not self._offers(type_, service):
             if loop.time() >= deadline:
@@ -186,8 +186,8 @@ class RosNodeServices:
                         waiting[client.handle.send_request(request or type_.Request())] = answered
                     sent = loop.time()
                 self._take(client, waiting)
-                if not answered.done():
-                    await asyncio.sleep(INTERVAL)
+                if not answered.done():  # it may never be: the longer it takes, the longer the pause
+                    await asyncio.sleep(max(INTERVAL, (loop.time() - begun) / 1000))
             return answered.result()
         finally:
             for number in [number for number, each in waiting.items() if each is answered]:

@@ -35,8 +35,8 @@ class ProbedPage:
         self._page = Page(folder / PAGE, build.library())
         self._nodes = {
             record.index: (record.node, record.instance)
-            for path in sorted(folder.glob("*.json"))
-            if (record := ForeignRecord.read(folder, path.stem)) is not None and record.index is not None
+            for record in ForeignRecord.all(folder)
+            if record.index is not None
         }
         for port in self._page.every_port():
             port.flags &= ~PortFlag.SHUT

@@ -11,8 +11,7 @@ from midstride.foreign import build
 from midstride.foreign.page import PAGE, SEND_GOAL, Page
 from midstride.foreign.page_layout import SERVER
 from midstride.foreign.record import ForeignRecord
-
-_WRAP = 2**32
+from midstride.node.control.response_watch import latest_responses
 
 
 class SeenAnswers:
@@ -20,11 +19,7 @@ class SeenAnswers:
 
     def __init__(self, folder: Path) -> None:
         self._page = Page(folder / PAGE, build.library())
-        self._nodes = {
-            record.index: record.node
-            for path in sorted(folder.glob("*.json"))
-            if (record := ForeignRecord.read(folder, path.stem)) is not None and record.index is not None
-        }
+        self._nodes = {record.index: record.node for record in ForeignRecord.all(folder) if record.index is not None}
         self._processes: dict[int, int] = {}  # by the index of a node: the process in which it was seen first
         self._known: dict[tuple[str, str], int] = {}  # how many it had answered at the last look
         # By the full names of a node and of its service or ROS action: how long each response took (s).
@@ -37,11 +32,8 @@ class SeenAnswers:
             if port.kind != SERVER or node is None or not self._is_same(port.node - 1):
                 continue
             key = node, port.topic.decode().removesuffix(SEND_GOAL)
-            answered, kept = int(port.answered), len(port.took)
-            new = (answered - self._known.get(key, answered)) % _WRAP
-            self._known[key] = answered
-            found = self.took.setdefault(key, [])
-            found += [port.took[number % kept] / 1e6 for number in range(answered - min(new, kept), answered)]
+            self._known[key], found = latest_responses(port, self._known.get(key))
+            self.took.setdefault(key, []).extend(found)
 
     def _is_same(self, index: int) -> bool:
         """Return whether a node of the page is still the one that was seen first: its part may be given to another."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from midstride.errors import StartFailed
+from midstride.foreign.record import ForeignRecord
 from midstride.runtime.backend_protocol import Exited, Launch
 from midstride.runtime.process.child_process import Process
 
@@ -17,14 +18,34 @@ from midstride.runtime.process.child_process import Process
 class SharedProcess:
     """A process of the container ``name``. ``index``: its part in the page of the gates; None where it has none.
 
-    ``members``: the instances that are in it, or are about to be loaded. ``loading``: held while it loads or unloads.
+    ``members``: the instances that are in it, or are about to be loaded; ``leaving``: those that are being unloaded.
+    ``loading``: held while it loads or unloads. ``loads``: the instance that it is asked to load now; empty: none.
+    ``unanswered``: by instance, the nodes that it was asked to load, and has not said whether it has; these are no
+    members. ``tasks``: which wait for them.
     """
 
     name: str
     process: Process
     index: int | None
     members: set[str] = field(default_factory=set)
+    leaving: set[str] = field(default_factory=set)
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
+    loads: str = ""
+    unanswered: dict[str, ForeignRecord] = field(default_factory=dict)
+    tasks: set[asyncio.Task[None]] = field(default_factory=set)
+
+    def why_busy(self, instance: str) -> str:
+        """What it means that the request to load ``instance`` is not answered, and what to do."""
+        return (
+            f"The constructor of {instance} may still run in {self.name}, into which no other node is loaded until it "
+            f"has returned; it ends only with that process. `midstride restart {self.name}` moves the others to a new "
+            f"one, and `kill -9 {self.process.pid}` ends all of them"
+        )
+
+    def require_answering(self, instance: str) -> None:
+        """Raises StartFailed where a request to load a node is not answered."""
+        for other in self.unanswered:
+            raise StartFailed(f"{instance} cannot be loaded into {self.name}. {self.why_busy(other)}")
 
     def require_current(self, instance: str, library: Path) -> None:
         """Raises StartFailed where the file has changed since the process began, which may have loaded the old one."""
@@ -42,9 +63,10 @@ class SharedProcess:
 
     def left_by(self, instance: str, how: str) -> Exited:
         """Say that ``instance`` has ended with the process; ``how`` that has ended."""
-        return Exited(
-            instance, self.process.status, self.process.last_words(), f"{instance} ended with {self.name}, which {how}"
-        )
+        words = f"{instance} ended with {self.name}, which {how}"
+        if self.loads:
+            words += f" while it was loading {'it' if self.loads == instance else self.loads}"
+        return Exited(instance, self.process.status, self.process.last_words(), words, self.loads == instance)
 
 
 class SharedProcesses:
@@ -52,7 +74,7 @@ class SharedProcesses:
 
     def __init__(self) -> None:
         self._known: dict[str, SharedProcess] = {}
-        self._starting: dict[str, asyncio.Lock] = {}
+        self._changing: dict[str, asyncio.Lock] = {}
 
     def __getitem__(self, name: str) -> SharedProcess:
         return self._known[name]
@@ -67,17 +89,43 @@ class SharedProcesses:
         self._known[shared.name] = shared
         return shared
 
-    def remove(self, shared: SharedProcess) -> None:
-        if self._known.get(shared.name) is shared:
-            del self._known[shared.name]
+    def remove(self, shared: SharedProcess) -> bool:
+        """Forget a process that has ended; whether it was known."""
+        if self._known.get(shared.name) is not shared:
+            return False
+        del self._known[shared.name]
+        return True
 
     def of(self, instance: str) -> SharedProcess | None:
         """The process that an instance shares; None where it has one for itself, or is not known."""
-        return next((each for each in self._known.values() if instance in each.members), None)
+        return next((each for each in self._known.values() if instance in {*each.members, *each.leaving}), None)
 
-    def starting(self, launch: Launch) -> asyncio.Lock:
-        """Held while the process is started that a launch is for: the first of its instances starts it."""
-        return self._starting.setdefault(launch.process, asyncio.Lock())
+    def changing(self, name: str) -> asyncio.Lock:
+        """Held while the process is started, which the first of its instances does, or ended with the last one."""
+        return self._changing.setdefault(name, asyncio.Lock())
+
+    def processes(self) -> list[SharedProcess]:
+        return list(self._known.values())
+
+    def is_unanswered(self, instance: str) -> bool:
+        """Return whether the request to load ``instance`` is not answered: it ends with the process that was asked."""
+        return any(instance in each.unanswered for each in self._known.values())
+
+    def require_not_loading(self, launch: Launch) -> None:
+        """Raises StartFailed where the node would run beside one of its role that a container may be about to have.
+
+        But in a new process of that container, as then the other one is to end.
+        """
+        for shared in self._known.values():
+            for other, record in shared.unanswered.items():
+                if record.role == launch.role and launch.process in ("", shared.name):
+                    raise StartFailed(f"{launch.instance} would be there twice. {shared.why_busy(other)}")
+
+    def close(self) -> None:
+        """Nothing is waited for any more."""
+        for shared in self._known.values():
+            for task in shared.tasks:
+                task.cancel()
 
 
 @dataclass(frozen=True, slots=True)

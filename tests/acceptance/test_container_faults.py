@@ -1,0 +1,261 @@
+"""Containers of composable nodes that crash or hang at a bad moment, on real ROS 2, with the stand-in in C."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from midstride.lang.load import load
+from midstride.model.specification import Specification
+from midstride.plan.request import PlanRequest
+from midstride.runtime.process import reaper
+from midstride.runtime.records.state_store import StateStore
+from midstride.runtime.workspace import Workspace
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
+from tests.acceptance.foreign_support import Robot, manager_of, robot
+from tests.acceptance.support import ROOT, ended
+from tests.acceptance.test_shared_containers import ROBOT, pids
+from tests.backends.ros2_support import Bare, run
+from tests.composition import StandIn
+
+pytestmark = [pytest.mark.ros2, pytest.mark.full, pytest.mark.long]
+
+ALL = ("front/maker", "front/other", "front/talker")
+TALKER = "front/talker"
+
+
+@pytest.fixture
+def stand_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StandIn:
+    monkeypatch.setenv("STAND_IN_FAULTS", str(tmp_path / "faults"))
+    return StandIn.in_use(tmp_path, monkeypatch)
+
+
+def faults(folder: Path, *lines: str) -> None:
+    """From now on, the nodes have these faults and no others."""
+    new = folder / "faults.new"
+    new.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    new.replace(folder / "faults")
+
+
+def system(folder: Path, text: str = ROBOT) -> Specification:
+    path = folder / "grouped.stride"
+    path.write_text(text, encoding="utf-8")
+    return load(path).require()
+
+
+def roles(made: Robot) -> list[str]:
+    return sorted(each.role for each in made.manager.configuration.instances.values())
+
+
+async def run_on(made: Robot, expected: Sequence[str]) -> dict[str, int | None]:
+    """Wait until exactly these roles run, and each node is in the graph once; by role, the process."""
+    await made.until(lambda: roles(made) == sorted(expected), 120)
+
+    def once() -> bool:
+        names = Counter(made.bare.node.get_node_names())
+        return all(names[role.rpartition("/")[2]] == (role in expected) for role in ALL)
+
+    await made.until(once, 60)
+    return await pids(made)
+
+
+async def kill(made: Robot, role: str) -> int:
+    pid = (await pids(made))[role]
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+    await made.until(lambda: role not in roles(made))
+    return pid
+
+
+async def another(made: Robot) -> None:
+    """The manager ends, and the next one is brought up at once."""
+    await made.manager.close()
+    made.manager = manager_of(made.manager.specification, made.folder)
+    await made.manager.up()
+
+
+def events(made: Robot, kind: str) -> list[str]:
+    return [event.words for event in made.manager.log() if event.kind == kind]
+
+
+def test_one_that_has_left_is_restarted_by_itself_with_its_own_code(stand_in: StandIn, tmp_path: Path) -> None:
+    async def main() -> None:
+        async with robot(system(tmp_path), tmp_path, topic="/front/chat") as made:
+            before = await run_on(made, ALL)
+            stand_in.install("demo", text="new")
+            assert (await made.change("Later", role=TALKER)).outcome == "done"
+            for ends in (False, True):
+                await made.hears()
+                await kill(made, TALKER)
+                if ends:
+                    await another(made)
+                after = await run_on(made, ALL)
+                await made.hears()
+                assert made.heard[-1][1].endswith("-new")
+                assert after["front/other"] == after["front/maker"] == before["front/other"] != after[TALKER]
+
+    with ended():
+        run(main())
+
+
+def test_one_that_ends_its_container_as_it_is_loaded_does_so_once(stand_in: StandIn, tmp_path: Path) -> None:
+    async def main() -> None:
+        async with robot(system(tmp_path), tmp_path, topic="/front/other") as made:
+            await run_on(made, ALL)
+            faults(tmp_path, f"/{TALKER} abort")
+            await kill(made, "front/other")
+            alone = await run_on(made, ("front/maker", "front/other"))
+            await made.hears()
+            [said] = [each for each in events(made, "note") if "beside others" in each]
+            assert said.startswith(f"{TALKER} is not loaded beside others again until `midstride restart front/pipe")
+            crashes = sum("respawn" in each for each in events(made, "command"))
+            await made.until(lambda: sum("respawn" in each for each in events(made, "command")) > crashes, 60)
+            assert (await pids(made))["front/other"] == alone["front/other"]
+            faults(tmp_path)
+            whole = await run_on(made, ALL)
+            assert whole["front/other"] == whole["front/maker"] == alone["front/other"] != whole[TALKER]
+            assert (await made.manager.change(PlanRequest(restart=("front/pipeline",)))).outcome == "done"
+            assert len(set((await run_on(made, ALL)).values())) == 1
+
+    with ended():
+        run(main())
+
+
+def test_one_whose_constructor_hangs_is_never_there_twice(stand_in: StandIn, tmp_path: Path) -> None:
+    async def main() -> None:
+        node = system(tmp_path).nodes[TALKER]
+        specification = system(tmp_path).without_node(TALKER)
+        async with robot(specification, tmp_path, topic="/front/other") as made:
+            before = await run_on(made, ("front/maker", "front/other"))
+            faults(tmp_path, f"/{TALKER} hang")
+            refused = await made.meanwhile(made.manager.change(PlanRequest(add=(node,))))
+            assert refused.outcome == "rolled_back", refused
+            assert "The constructor of front/talker may still run in front/pipeline" in str(refused.because)
+            assert await pids(made) == before
+            again = await made.meanwhile(made.manager.change(PlanRequest(add=(node,))))
+            assert "front/talker would be there twice" in str(again.because), again
+            await another(made)
+            faults(tmp_path)
+            done = None
+            while done is None or done.outcome != "done":
+                done = await made.meanwhile(made.manager.change(PlanRequest(add=(node,))))
+                assert done.outcome == "done" or "would be there twice" in str(done.because), done
+                await asyncio.sleep(0.1)
+            assert len(set((await run_on(made, ALL)).values())) == 1
+            await made.hears()
+
+    with ended():
+        run(main())
+
+
+def test_a_repacking_that_is_rolled_back_half_way_returns_to_the_old_process(stand_in: StandIn, tmp_path: Path) -> None:
+    async def main() -> None:
+        async with robot(system(tmp_path), tmp_path, topic="/front/chat") as made:
+            before = await run_on(made, ALL)
+            stand_in.install("demo", text="new")
+            moving = asyncio.ensure_future(made.manager.change(PlanRequest(restart=("front/pipeline",))))
+            await made.until(lambda: any("remove" in each and "done" not in each for each in events(made, "step")), 60)
+            await made.until(lambda: len(roles(made)) < 6 or moving.done(), 60)
+            moving.cancel()
+            await made.until(moving.done, 60)
+            assert await run_on(made, ALL) == before
+            await made.hears()
+            assert made.heard[-1][1] == "front/pipeline-old"
+
+    with ended():
+        run(main())
+
+
+POINTS = [
+    ("up", 1.0),
+    ("up", 2.0),
+    ("up", 3.0),
+    ("alone", 0.5),
+    ("alone", 2.0),
+    ("alone", 4.0),
+    ("repack", 0.5),
+    ("repack", 1.5),
+    ("repack", 3.0),
+    ("repack", 5.0),
+    ("repack", 6.0),
+    ("crash", 0.05),
+    ("crash", 0.5),
+    ("crash", 1.5),
+    ("crash", 3.0),
+]
+
+
+@pytest.mark.timeout(1500)
+@pytest.mark.parametrize("both", [False, True], ids=["the manager", "the manager and a container"])
+def test_a_manager_that_is_killed_leaves_nothing_that_runs_twice(stand_in: StandIn, tmp_path: Path, both: bool) -> None:
+    """At many moments of what it does. The next one restores everything, in one plan."""
+    specification = system(tmp_path)
+    (tmp_path / "system").mkdir()
+
+    async def main() -> None:
+        manager = manager_of(specification, tmp_path)
+        with Bare("recorder") as bare:
+            for doing, seconds in POINTS:
+                made = Robot(tmp_path, manager, bare)
+                killed = await asyncio.to_thread(be_killed, tmp_path, doing, seconds)
+                assert killed == -signal.SIGKILL, (doing, seconds, killed)
+                if both:
+                    await asyncio.to_thread(kill_a_container, tmp_path)
+                made.manager = manager_of(specification, tmp_path)
+                report = await made.manager.up()
+                changes = len(events(made, "plan"))
+                print(doing, seconds, report.outcome, report.half_done, changes, flush=True)
+                processes = await run_on(made, ALL)
+                assert {*containers(tmp_path)} == {*processes.values()}, (doing, seconds)
+                assert (await made.manager.status()).valid
+                heard = await writers_of(made, "/front/chat")
+                assert len(heard) == 1, (doing, seconds, heard)
+                await made.manager.close()
+            manager = manager_of(specification, tmp_path)
+            await manager.up()
+            await manager.down()
+            await manager.close()
+
+    with ended():
+        run(main(), 1480)
+
+
+def be_killed(folder: Path, doing: str, seconds: float) -> int:
+    command = [sys.executable, "-m", "tests.acceptance._container_manager", str(folder), doing, str(seconds)]
+    return subprocess.run(command, cwd=ROOT, check=False, timeout=100).returncode
+
+
+def containers(folder: Path) -> dict[int, str]:
+    """The processes of containers that run, each with the name that it was started with."""
+    saved = StateStore(Workspace(folder / "system").state).load()
+    assert saved is not None
+    found = {}
+    for process in reaper.processes():
+        own = reaper.environment_value(process.pid, ENV_TOKEN) == saved.token
+        if own and reaper.program_name(process.pid) == "component_container"[:15]:
+            found[process.pid] = str(reaper.environment_value(process.pid, ENV_INSTANCE))
+    return found
+
+
+def kill_a_container(folder: Path) -> None:
+    for pid in list(containers(folder))[:1]:
+        os.kill(pid, signal.SIGKILL)
+
+
+async def writers_of(made: Robot, topic: str) -> set[str]:
+    """The names of those that are heard on ``topic`` in a second."""
+    from std_msgs.msg import String
+
+    heard: list[str] = []
+    listening = made.bare.node.create_subscription(String, topic, lambda message: heard.append(message.data), 1000)
+    await made.until(lambda: len(heard) >= 60)
+    made.bare.node.destroy_subscription(listening)
+    return {each.split()[0] for each in heard[10:]}

@@ -1,0 +1,290 @@
+"""Processes that several instances share, with a container in the place of that of ROS: starts, hangs, ends at once."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Coroutine
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import pytest
+from msgspec import structs
+
+from midstride.backends.ros2.manager.component_containers import LoadRequest
+from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
+from midstride.backends.ros2.manager.own_names import StartName
+from midstride.backends.ros2.manager.shared_processes import SharedProcess, SharedProcesses
+from midstride.errors import BackendError, StartFailed
+from midstride.foreign.page import GATES_FOLDER
+from midstride.foreign.preloading import StartedPrograms
+from midstride.foreign.record import ForeignRecord
+from midstride.lang.load import load_text
+from midstride.model.component import DEFAULT_STOP, KILL_AT_ONCE
+from midstride.model.load_words import LoadWords
+from midstride.runtime.backend_protocol import Exited, Handle, Launch
+from midstride.runtime.timeouts import within
+from tests.lang.test_shared_containers import TEXT
+
+COMPONENT = load_text(TEXT.replace("gate preload", "gate none")).require().components["Talker"]
+
+
+class World:
+    """What the container has, as its services say it; ``hung``: the nodes whose load it does not answer yet."""
+
+    def __init__(self) -> None:
+        self.nodes: list[str] = []
+        self.hung: dict[str, asyncio.Future[str | None]] = {}
+        self.unloading = asyncio.Event()
+        self.unloading.set()
+
+    def finish(self, node: str) -> None:
+        """The constructor of ``node`` returns."""
+        self.nodes.append(node)
+        self.hung.pop(node).set_result(None)
+
+
+def services(world: World) -> type:
+    from midstride.backends.ros2.manager.container_services import LoadUnanswered
+
+    class Services:
+        def __init__(self, node: Any, name: str) -> None: ...
+
+        def close(self) -> None: ...
+
+        async def load(self, request: LoadRequest, timeout: float) -> None:
+            await asyncio.sleep(0)
+            if request.node in world.hung:
+                raise LoadUnanswered("it has not answered", world.hung[request.node])
+            world.nodes.append(request.node)
+
+        async def unload(self, node: str, timeout: float) -> None:
+            await world.unloading.wait()
+            if world.hung:
+                raise BackendError("it does not answer")
+            world.nodes.remove(node)
+
+        async def until_known(self, node: str, is_loading: Any) -> str | None:
+            if node in world.hung:
+                return await asyncio.shield(world.hung[node])
+            return None if node in world.nodes else "it is not there"
+
+    return Services
+
+
+class Made:
+    """A back end for containers, whose process does nothing."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        from midstride.backends.ros2.manager import container_backend
+
+        self.world = World()
+        monkeypatch.setattr(container_backend, "ContainerServices", services(self.world))
+        monkeypatch.setattr(container_backend, "_AGAIN", 0.01)
+        monkeypatch.setattr(container_backend, "_UNLOAD", 0.2)
+        monkeypatch.setattr(ForeignNodes, "_answer", self._answer)
+        self.exits: list[Exited] = []
+        self.folder = folder
+        self.backend: Any = self.another()
+
+    async def _answer(self, record: ForeignRecord) -> None:
+        """No node is there that could be answered for."""
+
+    def another(self) -> Any:
+        """The back end of another manager."""
+        from midstride.backends.ros2.manager import container_backend
+
+        class Backend(container_backend.ContainerBackend):
+            name = "ros2"
+
+            def _environment_of_spares(self, token: str) -> dict[str, str]:
+                return {}
+
+            def _python(self) -> str:
+                return "python3"
+
+            def _exited(self, instance: str, status: int | None, process: Any) -> None:
+                raise AssertionError("each shares its process")
+
+            async def _died(self, instance: str) -> None:
+                self._gone(instance)
+
+            def _gone(self, instance: str) -> None:
+                self._foreign_nodes.gone(instance)
+
+        backend = Backend(self.folder / "control", self.folder / "logs", None)
+        backend._on_exit, backend._node, backend._context = self.exits.append, None, object()
+        backend._graph, backend._arguments = Mock(has=lambda name: False), Mock(of=lambda *_: [])
+        backend._arguments.load_request = lambda launch, component, name: LoadRequest("/box", "d", "d::T", name.full)
+        backend._shared = SharedProcesses()
+        backend._foreign_nodes = ForeignNodes(
+            self.folder / "control" / GATES_FOLDER,
+            backend.transport,
+            lambda _: None,
+            load=backend._load,
+            failed=backend._not_loaded,
+        )
+        return backend
+
+    async def start(self, instance: str, **changes: Any) -> Handle:
+        words = LoadWords.of("demo::Talker")
+        launch = Launch(instance, "", ("sleep",), "t", self.folder, foreign=COMPONENT, load=words, process="box")
+        launch = replace(launch, role=instance.partition("_")[0], **changes)
+        self.backend._shared.require_not_loading(launch)
+        name = StartName(f"/{instance}")
+        programs = StartedPrograms(("sleep",), dict(os.environ))
+        found: Handle = await self.backend._start_shared(launch, COMPONENT, name, ("sleep", "600"), programs)
+        return found
+
+    @property
+    def shared(self) -> SharedProcess:
+        found: SharedProcess = self.backend._shared["box"]
+        return found
+
+    async def until(self, condition: Any) -> None:
+        async with within(20):
+            while not condition():
+                await asyncio.sleep(0.001)
+
+
+@pytest.fixture
+def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Made:
+    pytest.importorskip("rclpy")
+    monkeypatch.setattr("midstride.backends.ros2.manager.container_backend.component_library", lambda *_: __file__)
+    return Made(tmp_path, monkeypatch)
+
+
+def run(made: Made, body: Coroutine[Any, Any, None]) -> None:
+    async def whole() -> None:
+        try:
+            await body
+        finally:
+            for shared in made.backend._shared.processes():
+                await shared.process.end(KILL_AT_ONCE)
+            made.backend._shared.close()
+            await made.backend._foreign_nodes.close()
+            await made.backend._stop_watching()
+
+    asyncio.run(whole())
+
+
+def test_a_node_whose_constructor_hangs_is_known_until_it_is_there_and_then_unloaded(made: Made) -> None:
+    async def body() -> None:
+        await made.start("a")
+        await made.until(lambda: made.world.nodes == ["/a"])
+        made.world.hung["/b"] = asyncio.get_running_loop().create_future()
+        await made.start("b")
+        await made.until(lambda: made.exits)
+        [exited] = made.exits
+        assert exited.loading and "The constructor of b may still run in box" in str(exited.because)
+        await made.backend.end("b", DEFAULT_STOP)
+        assert (made.shared.members, [*made.shared.unanswered]) == ({"a"}, ["b"]), "its end ends nothing else"
+        assert ForeignRecord.read(made.folder / "control" / GATES_FOLDER, "b") is not None
+        for instance, why in (("b", "b would be there twice"), ("c", "c cannot be loaded into box")):
+            with pytest.raises(StartFailed, match=f"{why}. The constructor of b may still run"):
+                await made.start(instance)
+        with pytest.raises(StartFailed, match="b_2 would be there twice"):
+            await made.start("b_2", process="")
+        assert made.shared.members == {"a"} and len(made.exits) == 1
+        made.world.finish("/b")
+        await made.until(lambda: not made.shared.unanswered)
+        assert made.world.nodes == ["/a"], "it does not run, now that it is there"
+        await made.start("b")
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+
+    run(made, body())
+
+
+def test_one_that_hangs_ends_with_its_container(made: Made) -> None:
+    async def body() -> None:
+        await made.start("a")
+        await made.until(lambda: made.world.nodes == ["/a"])
+        made.world.hung["/b"] = asyncio.get_running_loop().create_future()
+        await made.start("b")
+        await made.until(lambda: made.exits)
+        process = made.shared.process
+        await made.backend.end("a", DEFAULT_STOP)
+        assert not process.running and [*made.backend._shared] == []
+        assert list(ForeignRecord.all(made.folder / "control" / GATES_FOLDER)) == []
+        made.world.hung.clear()
+        await made.start("b")
+        assert made.shared.process is not process
+
+    run(made, body())
+
+
+def test_another_manager_unloads_what_the_one_before_has_asked_for(made: Made) -> None:
+    """Once it is there; until then, as little is loaded as before. What is not coming any more is forgotten."""
+
+    async def body() -> None:
+        handle, folder = await made.start("a"), made.folder / "control" / GATES_FOLDER
+        await made.until(lambda: made.world.nodes == ["/a"])
+        for hung in ("b", "c"):  # the manager was killed as it loaded c, and knew that b hung
+            made.world.hung[f"/{hung}"] = asyncio.get_running_loop().create_future()
+            record = ForeignRecord.read(folder, "a")
+            assert record is not None
+            structs.replace(record, instance=hung, role=hung, node=f"/{hung}", loaded=False).write(folder)
+        made.world.hung.pop("/c")
+        made.shared.process.close()
+        made.backend = made.another()
+        assert await made.backend._adopt_shared(handle)
+        await made.backend.end_orphans("none", ["a"], DEFAULT_STOP)
+        assert (made.shared.members, [*made.shared.unanswered]) == ({"a"}, ["b"])
+        made.world.finish("/b")
+        await made.until(lambda: not made.shared.unanswered)
+        assert made.world.nodes == ["/a"]
+
+    run(made, body())
+
+
+def test_a_node_that_comes_as_the_last_one_ends_gets_a_new_process(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body() -> None:
+        await made.start("a")
+        await made.until(lambda: made.world.nodes == ["/a"])
+        first = made.shared.process
+        ending = asyncio.ensure_future(made.backend.end("a", DEFAULT_STOP))
+        while not first._ending:
+            await asyncio.sleep(0)
+        await made.start("b")
+        await ending
+        await made.until(lambda: made.world.nodes[1:] == ["/b"])
+        assert not first.running and made.shared.process.running
+        assert made.exits == []
+
+    run(made, body())
+
+
+def test_one_of_several_that_is_killed_ends_all_and_each_is_said(made: Made) -> None:
+    """Also while it is being unloaded, which does not return."""
+
+    async def body() -> None:
+        for instance in ("a", "b"):
+            await made.start(instance)
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+        made.world.unloading.clear()
+        ending = asyncio.ensure_future(made.backend.end("a", DEFAULT_STOP))
+        await made.until(lambda: made.shared.leaving)
+        await made.backend.end("a", KILL_AT_ONCE)
+        await ending
+        assert [each.instance for each in made.exits] == ["b"]
+        assert [*made.backend._shared] == []
+
+    run(made, body())
+
+
+def test_a_roll_back_loads_a_node_where_it_was_although_its_library_is_another_now(
+    made: Made, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    async def body() -> None:
+        await made.start("a")
+        (tmp_path / "lib.so").touch()
+        library = str(tmp_path / "lib.so")
+        monkeypatch.setattr("midstride.backends.ros2.manager.container_backend.component_library", lambda *_: library)
+        with pytest.raises(StartFailed, match="has changed since that was started"):
+            await made.start("b")
+        await made.start("b", returns=True)
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+
+    run(made, body())
