@@ -38,7 +38,7 @@ async def main(folder: Path, doing: str, seconds: float) -> None:
     elif doing != "up":
         killing.start()
         what = "front/talker" if doing == "alone" else "front/pipeline"
-        await manager.change(PlanRequest(restart=(what,)))
+        await manager.change(PlanRequest(restart=(what,), with_other_nodes=True))
     await asyncio.sleep(60)
 
 

@@ -122,7 +122,9 @@ def test_one_that_ends_its_container_as_it_is_loaded_does_so_once(stand_in: Stan
             faults(tmp_path)
             whole = await run_on(made, ALL)
             assert whole["front/other"] == whole["front/maker"] == alone["front/other"] != whole[TALKER]
-            assert (await made.manager.change(PlanRequest(restart=("front/pipeline",)))).outcome == "done"
+            assert (
+                await made.manager.change(PlanRequest(restart=("front/pipeline",), with_other_nodes=True))
+            ).outcome == "done"
             assert len(set((await run_on(made, ALL)).values())) == 1
 
     with ended():
@@ -161,7 +163,9 @@ def test_a_repacking_that_is_rolled_back_half_way_returns_to_the_old_process(sta
         async with robot(system(tmp_path), tmp_path, topic="/front/chat") as made:
             before = await run_on(made, ALL)
             stand_in.install("demo", text="new")
-            moving = asyncio.ensure_future(made.manager.change(PlanRequest(restart=("front/pipeline",))))
+            moving = asyncio.ensure_future(
+                made.manager.change(PlanRequest(restart=("front/pipeline",), with_other_nodes=True))
+            )
             await made.until(lambda: any("remove" in each and "done" not in each for each in events(made, "step")), 60)
             await made.until(lambda: len(roles(made)) < 6 or moving.done(), 60)
             moving.cancel()
