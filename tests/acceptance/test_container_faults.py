@@ -116,10 +116,11 @@ def test_one_that_ends_its_container_as_it_is_loaded_does_so_once(stand_in: Stan
             await made.hears()
             [said] = [each for each in events(made, "note") if "beside others" in each]
             assert said.startswith(f"{TALKER} is not loaded beside others again until `midstride restart front/pipe")
-            crashes = sum("respawn" in each for each in events(made, "command"))
-            await made.until(lambda: sum("respawn" in each for each in events(made, "command")) > crashes, 60)
-            assert (await pids(made))["front/other"] == alone["front/other"]
+            await made.until(lambda: events(made, "respawn_ended"), 120)
+            assert (await pids(made))["front/other"] == alone["front/other"], "its restarts have ended nothing else"
             faults(tmp_path)
+            done = await made.meanwhile(made.manager.change(PlanRequest(restart=(TALKER,))))
+            assert (done.outcome, done.because) == ("done", None)
             whole = await run_on(made, ALL)
             assert whole["front/other"] == whole["front/maker"] == alone["front/other"] != whole[TALKER]
             assert (
@@ -209,8 +210,8 @@ def test_a_manager_that_is_killed_leaves_nothing_that_runs_twice(stand_in: Stand
         with Bare("recorder") as bare:
             for doing, seconds in POINTS:
                 made = Robot(tmp_path, manager, bare)
-                killed = await asyncio.to_thread(be_killed, tmp_path, doing, seconds)
-                assert killed == -signal.SIGKILL, (doing, seconds, killed)
+                said = await asyncio.to_thread(be_killed, stand_in, tmp_path, doing, seconds)
+                assert said == "", (doing, seconds)
                 if both:
                     await asyncio.to_thread(kill_a_container, tmp_path)
                 made.manager = manager_of(specification, tmp_path)
@@ -232,9 +233,16 @@ def test_a_manager_that_is_killed_leaves_nothing_that_runs_twice(stand_in: Stand
         run(main(), 1480)
 
 
-def be_killed(folder: Path, doing: str, seconds: float) -> int:
+def be_killed(stand_in: StandIn, folder: Path, doing: str, seconds: float) -> str:
+    """Have a manager killed that has begun with that; what it has said of errors."""
     command = [sys.executable, "-m", "tests.acceptance._container_manager", str(folder), doing, str(seconds)]
-    return subprocess.run(command, cwd=ROOT, check=False, timeout=100).returncode
+    paths = filter(None, (str(stand_in.python), os.environ.get("PYTHONPATH")))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, check=False, timeout=100, stderr=subprocess.PIPE, text=True
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    return "".join(line for line in done.stderr.splitlines(keepends=True) if "Error" in line)
 
 
 def containers(folder: Path) -> dict[int, str]:
