@@ -62,7 +62,7 @@ class ContainerBackend(ProcessBackend):
 
     @asynccontextmanager
     async def _or_ended(self, launch: Launch, end: Callable[[], Awaitable[object]]) -> AsyncIterator[None]:
-        """What cannot be answered for does not keep running: ``end`` is called. Raises StartFailed for a NodeError."""
+        """Have ``end`` called where nothing can answer for what was started. Raises StartFailed for a NodeError."""
         try:
             yield
         except BaseException as error:

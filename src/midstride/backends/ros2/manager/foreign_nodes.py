@@ -176,7 +176,7 @@ class ForeignNodes:
             self._page.free(index)
 
     def records(self) -> list[ForeignRecord]:
-        """Those that can be read, also of an earlier manager."""
+        """All records that can be read, also of an earlier manager."""
         return [*ForeignRecord.all(self._folder)]
 
     def record_of(self, instance: str) -> ForeignRecord | None:

@@ -35,7 +35,7 @@ class SharedProcess:
     tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
     def why_busy(self, instance: str) -> str:
-        """What it means that the request to load ``instance`` is not answered, and what to do."""
+        """Say what follows from a request to load ``instance`` that is not answered, and what to do."""
         return (
             f"The constructor of {instance} may still run in {self.name}, into which no other node is loaded until it "
             f"has returned; it ends only with that process. `midstride restart {self.name}` moves the others to a new "
