@@ -90,7 +90,7 @@ class BringUp:
         return missing
 
     def _failed(self, left_out: dict[str, str]) -> dict[str, str]:
-        """Return which of ``left_out`` are not tried again: not the ones whose container has exited or hung with another.
+        """Return which of ``left_out`` are not tried again: but the ones whose container exited or hung with another.
 
         That other one is apart from them from now on, and counts as failed.
         """
