@@ -116,7 +116,7 @@ def test_one_that_ends_its_container_as_it_is_loaded_does_so_once(stand_in: Stan
             await made.hears()
             [said] = [each for each in events(made, "note") if "beside others" in each]
             assert said.startswith(f"{TALKER} is not loaded beside others again until `midstride restart front/pipe")
-            await made.until(lambda: events(made, "respawn_ended"), 120)
+            await made.until(lambda: bool(events(made, "respawn_ended")), 120)
             assert (await pids(made))["front/other"] == alone["front/other"], "its restarts have ended nothing else"
             faults(tmp_path)
             done = await made.meanwhile(made.manager.change(PlanRequest(restart=(TALKER,))))
