@@ -203,3 +203,39 @@ def test_where_that_is_asked_for_they_are_left_out_and_named(tmp_path: Path) -> 
         "the component `cameras::Camera` is left out: it would share the process of its container; with "
         "`--containers keep` it does, and with `--containers split` it has its own"
     )
+
+
+# What launch_ros 0.28 gives a component: of a file, its sections `/**` and `c` alone, the latter last, and a text in it
+# is read twice; the value `nan` of the launch file is a text, which a node would get in a file, and read as a number.
+OF_COMPONENT = """c: {ros__parameters: {both: 1, text: "'7'"}}
+/**/c: {ros__parameters: {wild: 2}}
+/**: {ros__parameters: {both: 3, all: 4}}
+"""
+
+
+def test_parameters_that_launch_gives_a_component_otherwise_than_a_node_are_named(tmp_path: Path) -> None:
+    (tmp_path / "of.yaml").write_text(OF_COMPONENT, encoding="utf-8")
+    body = """<node_container pkg="demo" exec="box" name="box" namespace="">
+    <composable_node pkg="d" plugin="d::C" name="c">
+      <param from="$(dirname)/of.yaml"/><param name="word" value="nan" type="str"/><param name="same" value="5"/>
+    </composable_node></node_container>"""
+    said = "\n".join(map(str, imported(tmp_path, body, "keep").findings))
+    for name, launched, here in (
+        ("both", "1", "3"),
+        ("wild", "no value", "2"),
+        ("word", "'nan'", "nan"),
+    ):
+        words = f"the parameter `{name}` of the component `c` {launched}, and here it has {here}, as a node would"
+        assert words in said, said
+    assert "`all`" not in said and "`same`" not in said
+
+
+def test_parameters_of_a_component_that_are_those_of_a_node_are_not_named(tmp_path: Path) -> None:
+    (tmp_path / "of.yaml").write_text(
+        "/**: {ros__parameters: {a: 1, list: [1.0, 2.0], text: x, sub: {deep: true}}}\nc: {ros__parameters: {a: 2}}\n"
+    )
+    body = """<node_container pkg="demo" exec="box" name="box" namespace="">
+    <composable_node pkg="d" plugin="d::C" name="c">
+      <param from="$(dirname)/of.yaml"/><param name="text" value="other"/><param name="b" value="[1, 2]"/>
+    </composable_node></node_container>"""
+    assert "launch reads" not in "\n".join(map(str, imported(tmp_path, body, "keep").findings))

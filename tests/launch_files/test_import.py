@@ -528,6 +528,22 @@ def test_a_node_of_a_launch_file_in_python_is_named_as_one_in_xml(
     assert [finding.message for finding in found.findings] == [finding.message for finding in in_xml.findings]
 
 
+def test_what_names_its_own_folder_after_a_file_in_python_differs_in_launch_and_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "other").mkdir()
+    included = tmp_path / "other" / "b.launch.py"
+    included.write_text("")
+    monkeypatch.setattr(interpreter, "carried_out", lambda *_: found_in_python(included))
+    file = tmp_path / "a.launch.xml"
+    include = '<include file="$(dirname)/other/b.launch.py"/>'
+    for before, expected in (("", 0), (include, 1)):
+        file.write_text(f'<launch>{before}<executable cmd="tool $(dirname)" name="tool"/></launch>')
+        found = import_launch_file(file, {}, {}, tmp_path / "a.stride", run_python=True)
+        said = [str(each) for each in found.findings if "`$(dirname)` after an include" in str(each)]
+        assert len(said) == expected
+
+
 @pytest.mark.parametrize(
     ("script", "why"),
     [
@@ -846,3 +862,15 @@ def test_restarts_are_limited_as_launch_limits_them(stated: str, limit: int | No
     assert kinds(found) == (["restart"] if limit is None else [])
     element = '<node pkg="" exec="n" name="n" respawn="true" respawn_max_retries="0"/>'
     assert specification(of_xml(tmp_path, element), tmp_path).nodes["n"].respawn is None
+
+
+def test_a_node_that_gets_another_name_here_keeps_the_parameters_of_its_own(tmp_path: Path) -> None:
+    """Launch writes them in a section with the name that it knows, and files have them there, too."""
+    (tmp_path / "of_server.yaml").write_text("/arm/server: {ros__parameters: {limit: 4}}\n", encoding="utf-8")
+    node = """<node pkg="demo" exec="d" name="server" namespace="arm">
+  <param name="rate" value="5"/><param from="$(dirname)/of_server.yaml"/>
+</node>"""
+    found = of_xml(tmp_path, node)
+    system = specification(found, tmp_path)
+    assert dict(system.instance("arm/server_2").parameters) == {"rate": 5, "limit": 4}
+    assert {each.kind for each in found.findings} == {"package", "name"}

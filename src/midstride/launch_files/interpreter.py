@@ -134,6 +134,7 @@ class Interpreter(NodeElements):
             "remaps": context.remaps,
             "parameters": rules,
         }
+        context.trace.current = path
         found = carried_out(path, given, context.environment)
         self.system.files += found["files"]
         for name in found["declared"]:

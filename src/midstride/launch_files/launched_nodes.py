@@ -29,7 +29,8 @@ class LaunchedNode:
     infinite if it follows the end of a process. ``state``: to which state the launch file takes a lifecycle node; empty
     for any other node. ``container``: the program that loads a composable node, whose class is the first word of
     ``command``, and ``extra`` what only containers take (``NAME:=VALUE``). ``shares``: the name of the container
-    that it is in with others, with its namespaces; empty where it has one for itself.
+    that it is in with others, with its namespaces; empty where it has one for itself. ``launched_role``: its role in
+    launch, where it has another one here, by which sections of parameter files are for it; else empty.
     """
 
     name: str
@@ -53,6 +54,7 @@ class LaunchedNode:
     container: ContainerProgram | None = None
     extra: tuple[str, ...] = ()
     shares: str = ""
+    launched_role: str = ""
 
     @property
     def role(self) -> str:

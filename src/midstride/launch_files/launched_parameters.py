@@ -16,6 +16,7 @@ from midstride.lang.rcl_parameters import ParameterValueAt
 from midstride.lang.source import Source, Span
 from midstride.lang.yaml_events import InvalidYaml
 from midstride.launch_files.allowed_files import ReadableFiles
+from midstride.launch_files.component_parameters import launched_values
 from midstride.launch_files.context import ParametersGiven
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
@@ -78,7 +79,9 @@ class ParameterReader:
         """
         read = [(given, found) for given in node.settings if (found := self._read(given, node)) is not None]
         self._given[node.role] = read
-        effective = self._effective([found for _, found in read], node)
+        effective = self._effective([found for _, found in read], node, node.launched_role or None)
+        if node.container is not None:
+            self._note_other_values(node, read, effective)
         for name in [name for name, value in effective.items() if value == []]:
             del effective[name]
             message = f"the parameter `{name}` of `{node.role}` is left out: an empty list has no type in ROS"
@@ -144,6 +147,31 @@ class ParameterReader:
                     statements.append(stated)
         return statements, values | self._effective(files, node)
 
+    def _note_other_values(
+        self, node: LaunchedNode, read: Sequence[tuple[ParametersGiven, _Read]], effective: Mapping[str, ParameterValue]
+    ) -> None:
+        """Name the parameters that launch gives a composable node otherwise than ROS gives them to a node."""
+        launched: dict[str, ParameterValue] = {}
+        own = node.launched_role or node.role
+        role = "" if node.unnamed else own
+        try:
+            for given, found in read:
+                launched |= launched_values(given, found.source.text, role, self._effective([found], node, own))
+        except ValueError:
+            message = f"launch cannot read the parameters of the component `{node.role}`; here ROS's reading is taken"
+            self._findings.add("parameters", message, node.span, left_out=False)
+            return
+        for name in sorted({*launched, *effective}):
+            if name in launched and name in effective and _same(launched[name], effective[name]):
+                continue
+            there, here = (repr(each[name]) if name in each else "no value" for each in (launched, effective))
+            message = (
+                f"launch gives the parameter `{name}` of the component `{node.role}` {shortened(there)}, and here it "
+                f"has {shortened(here)}, as a node would: launch reads the parameters of components by itself; state "
+                "which one is meant in its `parameters`"
+            )
+            self._findings.add("parameters", message, node.span, left_out=False)
+
     def _is_named(self, given: ParametersGiven) -> bool:
         return given.path is not None and given.text is None and self._may_name(given.path)
 
@@ -177,7 +205,8 @@ class ParameterReader:
         """
         for path, (span, sections, is_named) in self._files_read.items():
             name = os.path.basename(path)
-            lost = [section.pattern for section in sections if not any(section.matches(node.role) for node in nodes)]
+            roles = [node.launched_role or node.role for node in nodes]
+            lost = [section.pattern for section in sections if not any(map(section.matches, roles))]
             of_others = []
             for pattern in dict.fromkeys(lost):
                 meant = [node.role for node in nodes if f"/{node.role}".endswith(f"/{pattern.strip('/')}")]

@@ -285,7 +285,7 @@ def _with_own_names(nodes: Iterable[LaunchedNode], findings: ImportFindings) -> 
         while replace(node, name=name).role in used or name in RESERVED:
             number += 1
             name = f"{node.name}_{number}"
-        renamed = replace(node, name=name)
+        renamed = replace(node, name=name, launched_role=node.role if number > 1 else "")
         used.add(renamed.role)
         if number > 1:
             why = "is a word of the Stride language" if node.name in RESERVED else "has another node already"
