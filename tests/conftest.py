@@ -64,9 +64,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A deadline per example would fail on a busy machine; pytest's time-out bounds each test instead.
-# The same examples in each run, a third of them every day; the long one looks for new ones.
+# The same examples in each run, a quarter of them every day; the long one looks for new ones.
 settings.register_profile("thorough", deadline=None, print_blob=True, derandomize=True)
-settings.register_profile("daily", settings.get_profile("thorough"), max_examples=33)
+settings.register_profile("daily", settings.get_profile("thorough"), max_examples=25)
 settings.register_profile(
     "long",
     settings.get_profile("thorough"),
