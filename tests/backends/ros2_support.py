@@ -12,7 +12,7 @@ import signal
 import textwrap
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -226,7 +226,7 @@ def shared_memory_of(pid: int) -> list[str]:
 class Bare:
     """A bare rclpy node beside the back end, in a context of its own; call :meth:`spin` to let it work."""
 
-    def __init__(self, name: str = "bare") -> None:
+    def __init__(self, name: str = "bare", arguments: Sequence[str] = ()) -> None:
         import rclpy
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
@@ -237,7 +237,7 @@ class Bare:
 
         self.context = Context()
         with dds_profiles.applied_profile(dds_profiles.of_this_process()):
-            rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+            rclpy.init(args=[*arguments], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
             self.node: Any = Node(
                 name, context=self.context, use_global_arguments=False, start_parameter_services=False
             )

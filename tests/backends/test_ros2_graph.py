@@ -119,6 +119,21 @@ class ListedGraph:
         return self._by_node((name, inside), False)
 
 
+@pytest.mark.parametrize(
+    ("nodes", "others"),
+    [((), False), (("p", "_p_control_0123abcd_of_p"), False), (("p",), True), (("p", "p", "_p_control"), True)],
+)
+def test_nodes_of_a_name_that_no_instance_has_are_told_from_instances(nodes: tuple[str, ...], others: bool) -> None:
+    from midstride.backends.ros2.manager.graph import Graph
+
+    infos = [SimpleNamespace(node_name=name, node_namespace="/") for name in nodes]
+    node = SimpleNamespace(
+        get_node_names_and_namespaces=lambda: [(name, "/") for name in (*nodes, "q")],
+        get_publishers_info_by_topic=lambda topic: infos,
+    )
+    assert Graph(node).shows_others("/p") is others
+
+
 def test_what_is_looked_up_by_name_is_what_a_look_at_every_endpoint_finds() -> None:
     from midstride.backends.ros2.manager.graph import Graph
 

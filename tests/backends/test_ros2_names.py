@@ -29,6 +29,20 @@ def test_how_many_instances_a_role_has(in_graph: list[str], system: str, instanc
     assert names.instances_of("/front/counter", ["/front/counter", *in_graph], system) == instances
 
 
+@pytest.mark.parametrize(
+    ("enclave", "system", "outside"),
+    [
+        ("/", HERE, 2),
+        (names.enclave_of(HERE, "/front/counter_2"), HERE, 1),
+        (names.enclave_of(ELSEWHERE, "/front/counter_2"), HERE, 2),
+        (names.enclave_of(HERE, "/front/counter_2"), "", 2),  # of a component that was started by hand
+    ],
+)
+def test_nodes_that_the_system_has_started_are_not_taken_for_others(enclave: str, system: str, outside: int) -> None:
+    in_graph = [("/front/counter", "/"), ("/front/counter", enclave), ("/counter", "/")]
+    assert names.outside("/front/counter", in_graph, system) == outside
+
+
 @pytest.mark.parametrize("instance", ["/camera", "/front/camera", "/a/b/camera_2"])
 def test_a_control_node_says_whose_it_is(instance: str) -> None:
     name, inside = split_name(instance)

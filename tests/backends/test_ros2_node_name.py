@@ -145,6 +145,33 @@ def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(t
     run(scenario())
 
 
+@pytest.mark.full
+@pytest.mark.long
+@pytest.mark.parametrize("whose", ["the system's", "another's"])
+def test_a_component_that_has_just_started_stays_beside_a_node_of_its_name_that_the_system_has_started(
+    tmp_path: Path, whose: str
+) -> None:
+    """As its replacement without the API, whose program names its node itself; any other node has it end."""
+
+    async def scenario() -> None:
+        from midstride.backends.ros2 import middleware
+        from midstride.backends.ros2.component.node_threads import LEAVING
+
+        async with rig(tmp_path) as r:
+            system = names.system_tag(r.token if whose == "the system's" else "the token of that system")
+            await r.start("counter", COUNTING, node="counter")
+            with Bare("counter", ["--ros-args", "--enclave", names.enclave_of(system, "counter_2")]):
+                deadline = time.monotonic() + middleware.of_this_process().name_delay + 2 * LEAVING
+                while not r.exits and time.monotonic() < deadline:
+                    await asyncio.sleep(0.05)
+            if whose == "the system's":
+                assert not r.exits
+            else:
+                assert "a node /counter is running already" in r.exits[0].log_tail
+
+    run(scenario())
+
+
 async def refused_soon(r: Rig, whose: str) -> None:
     """A replacement is not started once the foreign node is in the graph; the message says ``whose`` it is."""
     await until_async(lambda: r.backend._foreign("/counter", names.system_tag(r.token)))

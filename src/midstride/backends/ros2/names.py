@@ -54,6 +54,23 @@ def instances_of(node: str, in_graph: Iterable[str], system: str) -> int:
     return sum(not system or each.system in ("", system) for each in found)
 
 
+def enclave_of(tag: str, instance: str) -> str:
+    """The enclave of the process of an instance; ``tag`` is that of its system (:func:`system_tag`)."""
+    return f"{_enclaves(tag)}{instance.strip('/')}"
+
+
+def _enclaves(tag: str) -> str:
+    return f"/midstride/s{tag}/"
+
+
+def outside(node: str, in_graph: Iterable[tuple[str, str]], system: str) -> int:
+    """How many of the nodes of the graph, each with its enclave, have that name and are not started by ``system``.
+
+    A node without Midstride's API whose program names it itself has an enclave of the system.
+    """
+    return sum(name == node and not (system and inside.startswith(_enclaves(system))) for name, inside in in_graph)
+
+
 def is_hidden(full_name: str) -> bool:
     """Return whether ROS's tools leave the node out: a part of its name starts with an underscore."""
     return "/_" in full_name

@@ -94,8 +94,8 @@ class ExecutorThread:
 class ComponentNodes:
     """``system`` is that whose manager started the process, empty if none did.
 
-    ``shares_name``: nodes without the API have that name beside it. How many, only the manager knows, so it alone looks
-    for others; each that ends may be in the graph for some time more.
+    ``shares_name``: nodes without the API have that name beside it, or had it. How many, only the manager knows, so it
+    alone looks for others; each that ends may be in the graph for some time more.
     ``failed`` is called with the traceback of what a callback raised.
     Raises NodeError where the name is taken.
     """
@@ -181,14 +181,14 @@ class ComponentNodes:
 
     def _is_foreign_in_graph(self, managed: bool) -> bool:
         """Return whether more nodes have the name than the role has instances: one until a manager starts others."""
-        in_graph = self._control.get_node_names_and_namespaces()  # once, since others may come and go meanwhile
-        nodes: int = in_graph.count(split_name(self._full_name))
+        listed = self._control.get_node_names_and_namespaces_with_enclaves()  # once: others may come and go meanwhile
+        in_graph = [(full_name(name, inside), enclave) for name, inside, enclave in listed]
+        nodes = names.outside(self._full_name, in_graph, self._system)
         if nodes <= 1:
             return False
         if not (self._system or managed):
             return True
-        full_names = [full_name(name, inside) for name, inside in in_graph]
-        return nodes > max(1, names.instances_of(self._full_name, full_names, self._system))
+        return nodes > max(1, names.instances_of(self._full_name, (name for name, _ in in_graph), self._system))
 
     def _check_free(self) -> None:
         """Raises NodeError where a node of our name appears soon, before ours has joined."""

@@ -217,7 +217,7 @@ class Ros2Backend(ContainerBackend, Backend):
         if launch.load is not None and not launch.process:
             graph.starts(component_containers.container_name(launch))
         if launch.foreign is None:
-            if node in self._foreign_nodes.names:
+            if node in self._foreign_nodes.names or graph.shows_others(node):  # of the system, or known to have ended
                 environment[ENV_SHARED_NAME] = "1"
             return await self._spawn(launch, own_name, command, environment)
         if launch.foreign.once:

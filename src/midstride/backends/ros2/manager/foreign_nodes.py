@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from midstride.backends.common import in_background
 from midstride.backends.naming import topics_of
 from midstride.backends.ros2.manager.component_containers import LoadRequest, container_name
-from midstride.backends.ros2.manager.own_names import OwnNames, StartName, enclave_of
+from midstride.backends.ros2.manager.own_names import OwnNames, StartName
 from midstride.backends.ros2.manager.parameter_file import parameter_file
 from midstride.backends.ros2.manager.process_nodes import AskedProcess
 from midstride.backends.ros2.manager.shared_processes import SharedProcess
@@ -29,7 +29,7 @@ from midstride.backends.ros2.manager.start_arguments import (
     enclave_for,
     loads_library,
 )
-from midstride.backends.ros2.names import InstanceNode, system_tag
+from midstride.backends.ros2.names import InstanceNode, enclave_of, system_tag
 from midstride.codec.component_form import NamedComponentForm
 from midstride.codec.parameter import json_values
 from midstride.errors import BackendError, CommandRefused, MidstrideError, NodeError, StartFailed

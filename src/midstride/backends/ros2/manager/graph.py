@@ -110,6 +110,10 @@ class Graph:
                 break
         return set(living.values())
 
+    def shows_others(self, node: str) -> bool:
+        """Return whether the graph shows nodes of that name, living or not, that no instance with the API has."""
+        return self._node_names().count(node) > sum(found.node == node for _, found in self._controls())
+
     def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         """The endpoints on ``topics``, by default on every topic, and the nodes that have them."""
         instances = self._instances()

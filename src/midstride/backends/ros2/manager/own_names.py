@@ -23,11 +23,6 @@ from midstride.runtime.backend_protocol import Launch
 FILE: Final = "own-names"
 
 
-def enclave_of(tag: str, instance: str) -> str:
-    """The enclave of the process of an instance; ``tag`` distinguishes its system from others."""
-    return f"/midstride/s{tag}/{instance.strip('/')}"
-
-
 @dataclass(frozen=True, slots=True)
 class StartName:
     """The name that a node is started with: its ``full`` name, empty where that is not known yet.

@@ -8,9 +8,9 @@ from typing import Final
 
 from midstride.backends.naming import topics_of
 from midstride.backends.ros2.manager.component_containers import LoadRequest, container_arguments, container_name
-from midstride.backends.ros2.manager.own_names import StartName, enclave_of
+from midstride.backends.ros2.manager.own_names import StartName
 from midstride.backends.ros2.manager.parameter_file import ALL, parameter_file, parameters_text, write_parameters
-from midstride.backends.ros2.names import system_tag
+from midstride.backends.ros2.names import enclave_of, system_tag
 from midstride.errors import StartFailed
 from midstride.foreign import build
 from midstride.foreign.mode_parameters import typed
