@@ -46,6 +46,7 @@ class Goals:
         self._own: dict[str, _Goal] = {}
         self._kept: dict[str, bytes] = {}
         self._fetched: set[str] = set()  # of those kept, the ones that a client has now
+        self._asked: dict[str, list[str]] = {}  # by goal, the requests about it that were handled here
         self._handed_over = False
         self._given: frozenset[str] = frozenset()
         self._accepted = self._ended = self._cancelled = self._unknown = 0
@@ -85,6 +86,20 @@ class Goals:
         """Note that ROS has discarded the result of ``goal``."""
         with self._lock:
             self._own.pop(goal, None)
+            if goal not in self._given:
+                self._asked.pop(goal, None)
+
+    def asked(self, goal: str, request: str) -> None:
+        """Note that a ``request`` about ``goal`` is handled here; its words say which it is, and when it came."""
+        with self._lock:
+            self._asked.setdefault(goal, []).append(request)
+
+    @property
+    def requests(self) -> list[str]:
+        """The requests about its goals that were handled here. Of a goal that has not ended, none has its result."""
+        with self._lock:
+            unended = {id for id, goal in self._own.items() if goal.result is None}
+            return [each for goal, requests in self._asked.items() if goal not in unended for each in requests]
 
     def not_known(self) -> None:
         """Note that a request about a goal was answered that no instance knows."""
@@ -116,6 +131,7 @@ class Goals:
         """
         with self._lock:
             self._given = frozenset() if self._handed_over else frozenset((*self._own, *self._kept, *asked))
+            self._asked = {goal: requests for goal, requests in self._asked.items() if self.has(goal)}
             return sorted(self._given)
 
     @property

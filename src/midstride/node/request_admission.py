@@ -42,6 +42,9 @@ PASS_AFTER: Final = 0.2
 # Requests about goals that look the same, of which one was handled by the predecessor and one is held here, are the
 # same one if they came at most so far apart (s of the steady clock, which two processes of one machine share).
 SAME: Final = 1.0
+# Those about a goal of the predecessor are compared when that ends. Until then a process that starts may be late by so
+# much (s).
+SAME_GOAL: Final = 5.0
 # Between the identity of a handled request about goals and when it came.
 _CAME: Final = " @"
 
@@ -101,8 +104,8 @@ class RequestAdmission:
         self._held: OrderedDict[str, _Held] = OrderedDict()
         self._names = itertools.count()
         self.goals = Goals()
-        # By goal of the predecessor, as long as that answers for it: how to handle the requests about it.
-        self._left: dict[str, list[Callable[[], object]]] = {}
+        # By goal of the predecessor, as long as that answers for it: the requests about it that have arrived here.
+        self._left: dict[str, list[_Held]] = {}
         self.passed_handlers: dict[str, PassedHandler] = {}  # by the full name of the service
         self._unfinished: dict[str, str | None] = {}  # with the goals that they ask for
         # By the full name of a service or ROS action with a bound: how long its requests take.
@@ -193,13 +196,15 @@ class RequestAdmission:
         """
         now = self._steady()
         with self._lock:
+            came = f"{request}{_CAME}{now}"
             if about and self.goals.has(about):
+                self.goals.asked(about, came)
                 return Turn.ANSWER
             if about in self._left:
-                self._left[about].append(later)
+                self._left[about].append(_Held(request, now, later, about=about))
                 return Turn.WAIT
             if self.is_open:
-                self._handled[f"{request}{_CAME}{now}"] = now
+                self._handled[came] = now
                 self._unfinished[request] = None
                 return Turn.ANSWER
             if not (about or self._paused) and self.goals.has_any:
@@ -213,20 +218,19 @@ class RequestAdmission:
         """Return whether the predecessor still answers for goals that it has accepted."""
         return bool(self._left)
 
-    def predecessor_ended(self, results: Mapping[str, bytes] | None) -> None:
-        """Answer from now on what is asked about the goals of the predecessor.
+    def predecessor_ended(self, results: Mapping[str, bytes] | None, handled: Iterable[str] = ()) -> None:
+        """Answer from now on what is asked about the goals of the predecessor, also what only this one has received.
 
-        ``results``: those that no client has fetched, by goal; what is held about others it has answered. None: it has
-        ended without a word, and its goals are not known any more.
+        ``results``: those that no client has fetched, by goal. None: it has ended without a word, and its goals are not
+        known any more. ``handled``: the requests about them that it has handled.
         """
         with self._lock:
             left, self._left = self._left, {}
             if results is not None:
                 self.goals.keep(results)
-        for goal, waiting in left.items():
-            if results is None or goal in results:
-                for handle in waiting:
-                    handle()
+        waiting = [held for of_goal in left.values() for held in of_goal]
+        for held in _not_handled(waiting, handled, SAME_GOAL):
+            held.handle()
 
     def finished(self, request: str) -> None:
         """``request`` has been handled to the end, or its code has raised. Those about own goals do not count."""
@@ -389,8 +393,10 @@ class RequestAdmission:
             held.handle()
 
 
-def _not_handled(held: Sequence[_Held], known: Iterable[str]) -> list[_Held]:
+def _not_handled(held: Sequence[_Held], known: Iterable[str], within: float = SAME) -> list[_Held]:
     """Return which of the requests ``held`` about goals the predecessor has not handled, which has handled ``known``.
+
+    One of each is the same where they came ``within`` so many seconds.
 
     Two clients' first requests look the same, as rclpy does not pass on whose they are. Where more of them are held
     than were handled at about the same time, all count: a client takes the first response, and one that got none
@@ -402,9 +408,9 @@ def _not_handled(held: Sequence[_Held], known: Iterable[str]) -> list[_Held]:
             came.setdefault(request, []).append(int(at))
 
     def handled_near(each: _Held) -> int:
-        return sum(abs(at - each.since) <= SAME * 1e9 for at in came.get(each.request, ()))
+        return sum(abs(at - each.since) <= within * 1e9 for at in came.get(each.request, ()))
 
     def held_near(each: _Held) -> int:
-        return sum(other.request == each.request and abs(other.since - each.since) <= SAME * 1e9 for other in held)
+        return sum(other.request == each.request and abs(other.since - each.since) <= within * 1e9 for other in held)
 
     return [each for each in held if held_near(each) > handled_near(each)]

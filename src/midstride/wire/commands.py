@@ -493,10 +493,12 @@ class KeepResultsCommand(Command[Done], frozen=True, kw_only=True, tag="keep_res
     """From an instance that ends to the one that answers requests: all my goals have ended.
 
     ``results``: by goal, the response with the result, serialized, of those whose result no client has fetched.
+    ``handled``: the requests about the goals that I have handled, each with when it came.
     """
 
     kind = "between"
     results: dict[str, bytes]
+    handled: list[str] = []
 
 
 class ResolveCutsCommand(Command[Done], frozen=True, kw_only=True, tag="resolve_cuts"):

@@ -206,7 +206,7 @@ class Answering:
 
     async def keep_results(self, command: commands.KeepResultsCommand) -> replies.Done:
         """From the predecessor: it ends, and leaves the results that no client has fetched."""
-        self.admission.predecessor_ended(command.results)
+        self.admission.predecessor_ended(command.results, command.handled)
         return replies.Done()
 
     async def hand_over_results(self) -> str | None:
@@ -216,7 +216,9 @@ class Answering:
         """
         if (address := self._successor) is None:
             return None
-        keep = commands.KeepResultsCommand(results=self.admission.goals.hand_over(), timeout=RESULTS_TIMEOUT)
+        goals = self.admission.goals
+        results = goals.hand_over()  # from here on, nothing is handled of what is asked about them
+        keep = commands.KeepResultsCommand(results=results, handled=goals.requests, timeout=RESULTS_TIMEOUT)
         number = counted(len(keep.results), "result")
         for _ in range(RESULTS_ATTEMPTS):  # kept twice is kept once
             try:
