@@ -117,12 +117,23 @@ def test_a_result_that_the_node_does_not_give_is_lost(
 
 def test_goals_without_a_place_are_waited_for_and_said(tmp_path: Path, gate_library: Path) -> None:
     ending = Ending(tmp_path, gate_library, since=time.monotonic() - PATIENCE)
-    ending.page.layout.nodes[ending.index].beyond = 2
+    node = ending.page.layout.nodes[ending.index]
+    node.beyond, node.apart = 2, 3
     left = ending.left()
-    assert left is not None and ending.page.layout.nodes[ending.index].cancels
-    known, unended, *_ = left.split("; ")
-    assert known == (
-        "2 of its goals were not known, since 256 others were in progress: what was asked about them was not handed "
-        "over"
-    )
-    assert unended.startswith("2 goals that are not known had not ended after ")
+    assert left is not None and node.cancels
+    unended, still, lost = left.split("; ")
+    assert unended.startswith("2 goals beyond the 256 that are listed had not ended after ")
+    assert still == "2 goals beyond the 256 that are listed had not ended 0.02 s later"
+    assert lost == "the result of 1 goal beyond the 256 that are listed that no client had fetched is lost"
+
+
+def test_the_place_of_a_kept_result_is_free_where_goals_wait_for_one(tmp_path: Path, gate_library: Path) -> None:
+    ending = Ending(tmp_path, gate_library, GoalState.ENDED, GoalState.ENDED)
+    gates, node = Gates(ending.page, ending.index, ComponentSpec("Server")), ending.page.layout.nodes[ending.index]
+    for waiting, (goal, *_) in enumerate((gates.unfetched(), gates.unfetched()[1:])):
+        number = gates.ask_for_result(goal)
+        node.apart = waiting
+        assert not gates.keep_result(goal, number)
+        ending.page.path.with_name(f"{ending.page.path.name}.{ending.index}.{number}.answer").write_bytes(b"result")
+        assert gates.keep_result(goal, number)
+    assert [goal.id[0] for goal in gates.unfetched()] == [0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ from tests.backends.ros2_support import Bare, run, without_midstride
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 # Counts to the number that a goal asks for, at 20 Hz, until that is cancelled, or until the test finishes all such
-# goals; its last number is its server's.
+# goals; its last number is its server's. With another argument, it is the second node of its process.
 SERVER = """
 import sys
 import threading
@@ -38,6 +39,7 @@ from rclpy.node import Node
 from test_msgs.action import Fibonacci
 
 rclpy.init()
+others = [Node("host", start_parameter_services=False) for _ in sys.argv[2:]]
 node = Node("server", start_parameter_services=False)
 
 def count(goal):
@@ -60,6 +62,8 @@ except (KeyboardInterrupt, ExternalShutdownException):
     pass
 """
 OLD, NEW = 1001, 1002
+# For longer than a request is held of which nothing else is known (s).
+HELD = 6.0
 # The orders of goals that last until the test finishes or cancels them.
 LONG, ENDLESS = 50_000, 100_000
 
@@ -80,16 +84,19 @@ class Actions:
         self._type = Fibonacci
         self.client: Any = ActionClient(bare.node, Fibonacci, "/count")
 
-    async def start(self, name: int, of: int | None = None) -> None:
+    async def start(self, name: int, of: int | None = None, *, second: bool = False) -> None:
+        """Start a server beside the one that it replaces. ``second``: it is not the first node of its process."""
         page = self.page
-        index = self.indices[name] = page.allocate(str(name))
+        process = page.allocate(f"{name} host") if second else None
+        index = page.allocate(str(name), process=process, name="/server" if second else "")
+        self.indices[name] = index
         page.have_requests(index, None if of is None else self.indices[of])
         given = {
             "LD_PRELOAD": str(self._library),
             "MIDSTRIDE_GATE_PAGE": str(page.path),
-            "MIDSTRIDE_GATE_NODE": str(index),
+            "MIDSTRIDE_GATE_NODE": str(index if process is None else process),
         }
-        command = [sys.executable, str(self._program), str(name)]
+        command = [sys.executable, str(self._program), str(name), *(["host"] if second else [])]
         self.processes[name] = subprocess.Popen(command, env={**without_midstride(), **given})
         parts = {f"/count/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result")}
         await self.bare.until(lambda: parts <= page.servers(index).keys())
@@ -224,7 +231,8 @@ def test_the_goals_of_one_server_are_cancelled_by_the_page(actions: Actions) -> 
     run(scenario())
 
 
-def test_a_result_that_no_client_has_fetched_outlasts_its_server(actions: Actions) -> None:
+@pytest.mark.parametrize("second", [False, pytest.param(True, marks=pytest.mark.long)])
+def test_a_result_that_no_client_has_fetched_outlasts_its_server(actions: Actions, second: bool) -> None:
     """The successor answers with it, and so does the one after that."""
     from action_msgs.msg import GoalStatus
 
@@ -232,14 +240,14 @@ def test_a_result_that_no_client_has_fetched_outlasts_its_server(actions: Action
 
     async def scenario() -> None:
         page = actions.page
-        await actions.start(OLD)
-        await actions.start(NEW, OLD)
+        await actions.start(OLD, second=second)
+        await actions.start(NEW, OLD, second=second)
         goals = [await actions.accepted(order) for order in (2, 3)]
         actions.give(NEW)
         await actions.reach(OLD, [GoalState.ENDED] * 2)
         gates = Gates(page, actions.indices[OLD], ComponentSpec("Server"))
-        for goal, number in gates.ask_for_results().items():
-            await actions.bare.until(partial(gates.keep_result, goal, number))
+        for goal in gates.unfetched():
+            await actions.bare.until(partial(gates.keep_result, goal, gates.ask_for_result(goal)))
         actions.end(OLD)
         page.free(actions.indices[OLD])
 
@@ -248,7 +256,7 @@ def test_a_result_that_no_client_has_fetched_outlasts_its_server(actions: Action
             assert (done.status, list(done.result.sequence)) == (GoalStatus.STATUS_SUCCEEDED, expected)
 
         await ends(goals[0], [0, 1, OLD])
-        await actions.start(third, NEW)
+        await actions.start(third, NEW, second=second)
         actions.give(third)
         actions.end(NEW)
         page.free(actions.indices[NEW])
@@ -261,9 +269,10 @@ def test_a_result_that_no_client_has_fetched_outlasts_its_server(actions: Action
     run(scenario())
 
 
-def test_a_goal_that_the_page_has_no_room_for_is_executed_and_waited_for(actions: Actions) -> None:
-    """What was asked about it before the change-over is answered; later, the new server does not know it."""
+def test_goals_that_the_page_has_no_room_for_stay_with_their_server(actions: Actions) -> None:
+    """What is asked about them later is answered by their server; once there is room, they are as any other."""
     from action_msgs.msg import GoalStatus
+    from action_msgs.srv import CancelGoal
 
     async def scenario() -> None:
         page = actions.page
@@ -272,23 +281,70 @@ def test_a_goal_that_the_page_has_no_room_for_is_executed_and_waited_for(actions
         places = page._requests[old.requests - 1].goals
         for goal in places:  # in progress at another node
             goal.word = GoalState.ACCEPTED << 12 | NODES
-        asked, unasked = [await actions.accepted(order) for order in (LONG, ENDLESS)]
+        asked, unasked, stopped = [await actions.accepted(order) for order in (LONG, LONG, ENDLESS)]
         result = asked.get_result_async()
         await actions.start(NEW, OLD)
-        await actions.bare.until(lambda: old.beyond == 2)
+        await actions.bare.until(lambda: (old.beyond, old.apart) == (3, 3))
         assert actions.goals(OLD) == []
         actions.give(NEW)
+        answer = await actions.result(stopped.cancel_goal_async())
+        assert [bytes(each.goal_id.uuid) for each in answer.goals_canceling] == [bytes(stopped.goal_id.uuid)]
+        done = await actions.result(stopped.get_result_async())
+        assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, OLD)
+        await actions.bare.until(lambda: (old.beyond, old.apart) == (2, 2))
         actions.finish(LONG)
-        done = await actions.result(result)
-        assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_SUCCEEDED, OLD)
-        assert (await actions.result(unasked.get_result_async())).status == GoalStatus.STATUS_UNKNOWN
-        assert old.beyond == 1
-        page.cancel_goals(actions.indices[OLD])
-        await actions.bare.until(lambda: old.beyond == 0)
-        # As soon as there is room, goals are known again.
-        places[GOALS - 1].word = 0
-        await actions.accepted(ENDLESS)
-        await actions.reach(NEW, [GoalState.ACCEPTED])
-        assert old.beyond == 0
+        for waiting in (result, unasked.get_result_async()):
+            done = await actions.result(waiting)
+            assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_SUCCEEDED, OLD)
+        await actions.bare.until(lambda: (old.beyond, old.apart) == (0, 0))
+
+        # All goals: those of either server are in one answer, also where neither has room.
+        actions.give(OLD)
+        last = await actions.accepted(ENDLESS)
+        actions.give(NEW)
+        other = await actions.accepted(ENDLESS)
+        cancel = actions.bare.node.create_client(CancelGoal, "/count/_action/cancel_goal")
+        await actions.bare.until(cancel.service_is_ready)
+        answer = await actions.result(cancel.call_async(CancelGoal.Request()))
+        found = {bytes(each.goal_id.uuid) for each in answer.goals_canceling}
+        assert found == {bytes(each.goal_id.uuid) for each in (last, other)}
+
+        # One that has ended, and of which no client has fetched the result, is known as soon as there is room.
+        await actions.bare.until(lambda: (old.beyond, old.apart) == (0, 1))
+        assert actions.goals(OLD) == []
+        for place in places[GOALS - 2 :]:
+            place.word = 0
+        for name in (OLD, NEW):
+            await actions.reach(name, [GoalState.ENDED])
+        assert old.apart == 0
+        done = await actions.result(last.get_result_async())
+        assert (done.status, done.result.sequence[-1]) == (GoalStatus.STATUS_CANCELED, OLD)
+
+        # A goal that no server has: the client is told so, by one of them.
+        unknown = type(last)(actions.client, type(last.goal_id)(uuid=[7] * 16), None)
+        assert (await actions.result(actions.client._get_result_async(unknown))).status == GoalStatus.STATUS_UNKNOWN
+
+    run(scenario())
+
+
+@pytest.mark.long
+def test_what_only_the_new_server_has_received_about_a_goal_of_the_old_one_is_answered_once_that_has_ended(
+    actions: Actions,
+) -> None:
+    """However long that takes: nothing else would answer it."""
+    from action_msgs.msg import GoalStatus
+
+    async def scenario() -> None:
+        await actions.start(OLD)
+        goal = await actions.accepted(ENDLESS)
+        await actions.start(NEW, OLD)
+        actions.give(NEW)
+        old = actions.processes[OLD]
+        old.send_signal(signal.SIGSTOP)  # it receives nothing any more
+        result, begun = goal.get_result_async(), time.monotonic()
+        await actions.bare.until(lambda: time.monotonic() > begun + HELD)
+        assert not result.done()
+        actions.end(OLD)
+        assert (await actions.result(result)).status == GoalStatus.STATUS_UNKNOWN
 
     run(scenario())

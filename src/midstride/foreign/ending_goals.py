@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -50,11 +51,6 @@ class EndingGoals:
             return ended() or time.monotonic() - since > STOPPED or self._hangs() is not None
 
         found = []
-        if beyond := gates.goals_beyond:
-            what = f"{beyond} of its goals {'was' if beyond == 1 else 'were'} not known"
-            found.append(
-                f"{what}, since {GOALS} others were in progress: what was asked about them was not handed over"
-            )
         await node.comes_true(over, max(0.0, node.component.stop_times.patience - waited))
         if not ended():
             unended, seconds = _unended(gates), time.monotonic() - begun + waited
@@ -63,7 +59,7 @@ class EndingGoals:
             found.append(f"{unended} had not ended after {seconds:.0f} s (`patience`), and cancelling was asked for")
             if not ended():
                 found.append(f"{_unended(gates)} had not ended {CANCELLING:g} s later")
-        await node.comes_true(lambda: not gates.goals(GoalState.ENDED), CANCELLING)
+        await node.comes_true(lambda: not (gates.goals(GoalState.ENDED) or gates.goals_apart), CANCELLING)
         if lost := await self._keep_results():
             is_one = lost.total() == 1
             found.append(
@@ -73,12 +69,13 @@ class EndingGoals:
         return found
 
     async def _keep_results(self) -> Counter[str]:
-        """Keep the results that no client has fetched; how many are lost all the same, by ROS action."""
+        """Keep the results that no client has fetched; how many are lost all the same, by ROS action.
+
+        Each that is kept makes room for one of a goal that the page had none for.
+        """
         gates, lost = self._gates, Counter[str]()
-        try:
-            left = gates.ask_for_results()
-        except BackendError:
-            return gates.goals(GoalState.ENDED)
+        asked: set[bytes] = set()
+        left: dict[KnownGoal, int] = {}
 
         def kept(goal: KnownGoal, number: int) -> bool:
             try:
@@ -87,28 +84,36 @@ class EndingGoals:
                 lost[goal.action] += 1
                 return True
 
-        def answered() -> bool:
+        def all_are_kept() -> bool:
+            for goal in gates.unfetched():
+                if goal.id not in asked:
+                    left[goal] = gates.ask_for_result(goal)
+                    asked.add(goal.id)
             for goal, number in list(left.items()):
                 if kept(goal, number):
                     del left[goal]
-            return not left
+            return not left and gates.goals_apart <= gates.goals_beyond
 
-        await self._node.comes_true(answered, CANCELLING)
+        with contextlib.suppress(BackendError):  # it cannot be asked any further
+            await self._node.comes_true(all_are_kept, CANCELLING)
         for goal, number in left.items():
             gates.page.withdraw(gates.index, number)
             lost[goal.action] += 1
+        lost.update(goal.action for goal in gates.unfetched() if goal.id not in asked)
+        if (apart := gates.goals_apart - gates.goals_beyond) > 0:
+            lost[""] += apart
         return lost
 
 
 def _unended(gates: Gates) -> str:
     """The goals that have not ended, in words."""
-    known, beyond = gates.goals(*UNENDED), gates.goals_beyond
-    others = [f"{beyond} goal{'s' * (beyond != 1)} that {'are' if beyond != 1 else 'is'} not known"] if beyond else []
-    return ", ".join([*filter(None, [_counted(known)]), *others])
+    unended = gates.goals(*UNENDED)
+    if beyond := gates.goals_beyond:
+        unended[""] = beyond
+    return _counted(unended)
 
 
 def _counted(goals: Counter[str]) -> str:
-    """The goals of each ROS action, in words."""
-    return ", ".join(
-        f"{number} goal{'s' * (number != 1)} of ROS action {name}" for name, number in sorted(goals.items())
-    )
+    """The goals of each ROS action, in words. Of those that the page has no room for, it is not known of which one."""
+    which = {name: f"of ROS action {name}" if name else f"beyond the {GOALS} that are listed" for name in goals}
+    return ", ".join(f"{number} goal{'s' * (number != 1)} {which[name]}" for name, number in sorted(goals.items()))

@@ -314,21 +314,29 @@ class Gates:
         """How many goals it has in progress that the page has no room for."""
         return int(self.page.layout.nodes[self.index].beyond)
 
-    def ask_for_results(self) -> dict[KnownGoal, int]:
-        """Ask the node for the results that no client has fetched; by goal, the number of the request.
+    @property
+    def goals_apart(self) -> int:
+        """How many goals it answers for that the page has no room for: in progress, or with a result to be fetched."""
+        return int(self.page.layout.nodes[self.index].apart)
 
-        Raises BackendError.
-        """
-        unfetched = [goal for goal in self.page.goals(self.index) if goal.state is GoalState.ENDED]
-        return {
-            goal: self.page.ask(self.index, goal.action + GET_RESULT, _LITTLE_ENDIAN + goal.id) for goal in unfetched
-        }
+    def unfetched(self) -> list[KnownGoal]:
+        """The goals that have ended, and whose results no client has fetched."""
+        return [goal for goal in self.page.goals(self.index) if goal.state is GoalState.ENDED]
+
+    def ask_for_result(self, goal: KnownGoal) -> int:
+        """Ask the node for the result of ``goal``; the number of the request. Raises BackendError."""
+        return self.page.ask(self.index, goal.action + GET_RESULT, _LITTLE_ENDIAN + goal.id)
 
     def keep_result(self, goal: KnownGoal, number: int) -> bool:
-        """Keep the result that the node has given to the request ``number``; whether it has. Raises BackendError."""
+        """Keep the result that the node has given to the request ``number``; whether it has. Raises BackendError.
+
+        The place of the goal becomes that of one that the page had no room for, if there is such a one.
+        """
         response = self.page.response(self.index, number)
         if response is not None:
             self.page.keep_result(goal.id, response)
+            if self.goals_apart:
+                self.page.forget_goal(self.index, goal)
         return response is not None
 
     def cancel_goals(self) -> None:

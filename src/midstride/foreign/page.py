@@ -62,11 +62,13 @@ JOINED_WITHIN: Final = 60
 
 
 class KnownGoal(NamedTuple):
-    """A goal of a node in the page: the full name of its ROS action, its state, and its UUID."""
+    """A goal of a node in the page, by the full name of its ROS action; its UUID, its place, and its word there."""
 
     action: str
     state: GoalState
     id: bytes
+    place: int
+    word: int
 
 
 class KnownSetting(NamedTuple):
@@ -88,6 +90,8 @@ def load_library(path: Path) -> Any:
     library.midstride_free.argtypes, library.midstride_free.restype = [c_void_p, c_uint32], None
     library.midstride_requests_step.argtypes = [c_void_p, c_int, c_uint32, c_int, c_uint32, c_int64]
     library.midstride_requests_step.restype = c_uint64
+    library.midstride_forget_goal.argtypes = [c_void_p, c_uint32, c_uint32, c_uint64]
+    library.midstride_forget_goal.restype = None
     library.midstride_ring.argtypes, library.midstride_ring.restype = [c_void_p, c_uint32], None
     return library
 
@@ -379,11 +383,17 @@ class Page:
         """The goals that the node ``index`` has accepted, or is about to."""
         number = self.layout.nodes[index].requests
         found: list[KnownGoal] = []
-        for goal in self._requests[number - 1].goals if number else ():
-            if goal.word & 0xFFF == index + 1 and (state := GoalState(goal.word >> 12 & 0xF)) is not GoalState.NO_GOAL:
+        for place, goal in enumerate(self._requests[number - 1].goals if number else ()):
+            word = int(goal.word)
+            if word & 0xFFF == index + 1 and (state := GoalState(word >> 12 & 0xF)) is not GoalState.NO_GOAL:
                 service = self._ports[goal.port - 1].topic.decode() if goal.port else ""
-                found.append(KnownGoal(service.removesuffix(SEND_GOAL), state, bytes(goal.id)))
+                found.append(KnownGoal(service.removesuffix(SEND_GOAL), state, bytes(goal.id), place, word))
         return found
+
+    def forget_goal(self, index: int, goal: KnownGoal) -> None:
+        """Have another goal take the place of this one of the node ``index``, whose result is kept beside the page."""
+        number = self.layout.nodes[index].requests
+        self._library.midstride_forget_goal(self._address, number - 1, goal.place, goal.word)
 
     def goal_counts(self, index: int) -> GoalCounts | None:
         """Count the goals of the node ``index`` by what has become of them; None where it has had none."""

@@ -136,6 +136,7 @@ class PageNode(ctypes.Structure):
         ("cancels", c_uint32),
         ("beyond", c_uint32),
         ("goals", c_uint32 * 4),
+        ("apart", c_uint32),
         ("loading", c_uint32),
         ("loads", c_uint32),
         ("instance", c_char * NAME),

@@ -1,19 +1,12 @@
 /* Goals of ROS actions: the steps of goals.h, in the page. */
 #include "serving.h"
 
-#include <stdlib.h>
 #include <string.h>
 
 /* How long the node that answers a request to cancel many goals waits for the list of the other one (ns). */
 #define ADDING INT64_C(1000000000)
-
-/* A goal in progress at a node of this process that the page has no room for. */
-struct beyond {
-  struct beyond *next;
-  uint8_t goal[16];
-  unsigned me;
-};
-static struct beyond *beyond; /* with `lock` */
+/* How long a request about a goal that a node does not know is left to another one that has goals beyond the page (ns). */
+#define CLAIMING INT64_C(1000000000)
 
 struct subject subject_of(const struct entry *entry, const void *request)
 {
@@ -52,7 +45,7 @@ void step_goal(struct goal *goal, unsigned me, enum goal_event event)
     ;
 }
 
-struct goal *reserve_goal(struct requests *requests, const struct entry *entry, const struct subject *subject)
+struct goal *reserve_goal(struct requests *requests, unsigned me, uint32_t port, const uint8_t *id)
 {
   for (unsigned tries = 0; tries < GOALS; tries++) {
     struct goal *found = NULL;
@@ -63,7 +56,7 @@ struct goal *reserve_goal(struct requests *requests, const struct entry *entry, 
       uint64_t seen = atomic_load(&goal->word);
       bool ended = GOAL_STATE(seen) != NO_GOAL && has_ended(OWNER(seen));
       free = GOAL_STATE(seen) == NO_GOAL || ended;
-      if (goal_reserve(seen, entry->me, ended) != seen &&
+      if (goal_reserve(seen, me, ended) != seen &&
           (free || !found || atomic_load(&goal->at) < atomic_load(&found->at))) {
         found = goal;
         word = seen;
@@ -71,13 +64,13 @@ struct goal *reserve_goal(struct requests *requests, const struct entry *entry, 
     }
     if (!found)
       return NULL;
-    if (atomic_compare_exchange_strong(&found->word, &word, goal_reserve(word, entry->me, true))) {
+    if (atomic_compare_exchange_strong(&found->word, &word, goal_reserve(word, me, true))) {
       uint64_t parts[2];
-      memcpy(parts, subject->goal, sizeof parts);
+      memcpy(parts, id, sizeof parts);
       atomic_store(&found->id[0], parts[0]);
       atomic_store(&found->id[1], parts[1]);
       atomic_store(&found->at, now_ns());
-      atomic_store(&found->port, (uint32_t)(entry->port - page->ports) + 1);
+      atomic_store(&found->port, port);
       return found;
     }
   }
@@ -100,7 +93,12 @@ enum turn turn_with(struct requests *requests, const struct entry *entry, const 
   unsigned owner = 0;
   if (subject->about == ABOUT_ONE) {
     struct goal *goal = find_goal(requests, subject->goal);
-    owner = goal ? OWNER(atomic_load(&goal->word)) : 0;
+    if (!goal) {
+      bool waits = now_ns() - at < CLAIMING;
+      owner = is_beyond(entry->me, subject->goal) ? entry->me : waits ? other_beyond(entry->me, false) : 0;
+      goal = owner ? NULL : find_goal(requests, subject->goal); /* there may be room for it by now */
+    }
+    owner = goal ? OWNER(atomic_load(&goal->word)) : owner;
     owner = owner && has_ended(owner) ? 0 : owner;
   }
   for (unsigned index = 0; subject->about == ABOUT_MANY && index < GOALS; index++) {
@@ -113,36 +111,11 @@ enum turn turn_with(struct requests *requests, const struct entry *entry, const 
     else if (now_ns() - at < ADDING && !has_ended(OWNER(word)) && !find_added(requests, OWNER(word), id))
       missing = true;
   }
+  if (subject->about == ABOUT_MANY && !missing && now_ns() - at < ADDING) {
+    unsigned other = other_beyond(entry->me, true);
+    missing = other && !find_added(requests, other, id);
+  }
   return turn_of(subject->about, entry->me, own, owner, in_flight, added, missing);
-}
-
-void accept_beyond(const struct entry *entry, const struct subject *subject)
-{
-  struct beyond *accepted = malloc(sizeof *accepted);
-  if (!accepted)
-    return;
-  memcpy(accepted->goal, subject->goal, sizeof accepted->goal);
-  accepted->me = entry->me;
-  pthread_mutex_lock(&lock);
-  accepted->next = beyond;
-  beyond = accepted;
-  atomic_fetch_add(&page->nodes[entry->me - 1].beyond, 1);
-  pthread_mutex_unlock(&lock);
-}
-
-/* Such a goal has ended; index + 1 of its node, 0 where it is none of them. With `lock`. */
-static unsigned end_beyond(const uint8_t *goal)
-{
-  for (struct beyond **place = &beyond; *place; place = &(*place)->next)
-    if (memcmp((*place)->goal, goal, sizeof (*place)->goal) == 0) {
-      struct beyond *ended = *place;
-      unsigned me = ended->me;
-      *place = ended->next;
-      atomic_fetch_sub(&page->nodes[me - 1].beyond, 1);
-      free(ended);
-      return me;
-    }
-  return 0;
 }
 
 void count_goal(unsigned me, unsigned what)
@@ -154,7 +127,7 @@ void count_goal(unsigned me, unsigned what)
 static void on_goal(const struct goal_info *info, enum goal_event event, unsigned counts)
 {
   pthread_mutex_lock(&lock);
-  unsigned owner = event == END ? end_beyond(info->id) : 0;
+  unsigned owner = step_beyond(info->id, event);
   for (struct table *table = &first_table; table; table = atomic_load(&table->next))
     for (unsigned index = 0; index < ENTRIES; index++) {
       struct entry *entry = &table->entries[index];

@@ -173,6 +173,16 @@ bool is_due(struct entry *entry)
   return false;
 }
 
+/* Whether a request is held no longer that no node has claimed. It stays if this node is to answer it: now, or, as another one
+ * has the goal that it is about and has not received it, once that one has ended. */
+static bool is_over(struct requests *requests, const struct entry *entry, const struct held *held)
+{
+  if (now_ns() - held->at <= HOLD || turn_with_held(requests, entry, held) == ANSWER)
+    return false;
+  return held->subject.about != ABOUT_ONE || BEFORE(atomic_load(&requests->word)) == entry->me ||
+         turn_with(requests, entry, &held->subject, &held->info.id, held->at, held->added, true) == ANSWER;
+}
+
 /* What is held of a server: forget what another node has claimed; claim what its successor has not received. With `lock`. */
 static uint32_t look_at_held(struct entry *entry, struct requests *requests)
 {
@@ -181,7 +191,7 @@ static uint32_t look_at_held(struct entry *entry, struct requests *requests)
   uint64_t word = atomic_load(&requests->word);
   for (struct held **place = &entry->held; *place;) {
     struct held *held = *place;
-    if (!held->claimed && (now - held->at > HOLD || !claim_request(requests, &held->info.id, true))) {
+    if (!held->claimed && (is_over(requests, entry, held) || !claim_request(requests, &held->info.id, true))) {
       free_held(unlink_held(entry, place));
       continue;
     }

@@ -97,6 +97,13 @@ EXPORT uint64_t midstride_requests_step(struct page *shared, int file, unsigned 
   return next;
 }
 
+/* The result of a goal is kept beside the page, so its place, whose word was `word`, is free. */
+EXPORT void midstride_forget_goal(struct page *shared, unsigned number, unsigned place, uint64_t word)
+{
+  struct goal *goal = &requests_at(shared, number)->goals[place];
+  atomic_compare_exchange_strong(&goal->word, &word, goal_step(word, OWNER(word), EXPIRE));
+}
+
 /* The same of a word; any other step is that of the node itself. */
 EXPORT uint64_t midstride_requests_word(uint64_t word, int step, unsigned node, int lives)
 {

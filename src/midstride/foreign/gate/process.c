@@ -79,6 +79,7 @@ static void look_at(struct entry *entry)
 static void look(void)
 {
   take_asked();
+  place_beyond();
   for (unsigned index = 0; index < used_count; index++)
     used_ports[index].matched = used_ports[index].waiting = 0;
   for (struct table *table = &first_table; table; table = atomic_load(&table->next))

@@ -203,9 +203,12 @@ EXPORT int rcl_send_response(const void *service, struct request_id *id, void *r
   if (unknown)
     count_goal(entry->me, GOALS_UNKNOWN);
   int result = real_rcl_send_response()(service, id, response);
-  struct goal *goal = taken && entry->service == GET_RESULT && begins ? find_goal(requests, taken->subject.goal) : NULL;
-  if (goal && result == 0)
-    step_goal(goal, entry->me, FETCH);
+  bool fetched = result == 0 && taken && entry->service == GET_RESULT && begins;
+  if (fetched && !step_beyond(taken->subject.goal, FETCH)) {
+    struct goal *goal = find_goal(requests, taken->subject.goal);
+    if (goal)
+      step_goal(goal, entry->me, FETCH);
+  }
   free(taken);
   answered(entry, requests, id, true);
   return result;

@@ -72,17 +72,29 @@ void note_seen(struct requests *requests, unsigned me, const struct request_id *
 struct subject subject_of(const struct entry *entry, const void *request);
 struct goal *find_goal(struct requests *requests, const uint8_t *id);
 void step_goal(struct goal *goal, unsigned me, enum goal_event event);
-/* A place for a goal that `entry` is about to accept; NULL where each has one that its node may still need. Of those whose
- * result has been fetched, the one that was asked for first is forgotten. */
-struct goal *reserve_goal(struct requests *requests, const struct entry *entry, const struct subject *subject);
+/* A place for a goal that the node `me` (index + 1) is about to accept, by the service of `port` (index + 1); NULL where each
+ * has one that its node may still need. Of those whose result has been fetched, the one that was asked for first is forgotten. */
+struct goal *reserve_goal(struct requests *requests, unsigned me, uint32_t port, const uint8_t *id);
 /* Whose turn it is with a request to `entry`, which has arrived at `at`. `own`: whether this node answers what is about no
  * goal. */
 enum turn turn_with(struct requests *requests, const struct entry *entry, const struct subject *subject,
                     const struct request_id *id, int64_t at, bool added, bool own);
 /* Count what has become of a goal of the node `me` (index + 1), or a request to it about one that is not known. */
 void count_goal(unsigned me, unsigned what);
-/* A goal that the page has no room for is accepted: the node is waited for until it has ended, too. */
+
+/* -- goals that the page has no room for (beyond.c) ------------------------------------------------------------------- */
+
+/* Such a goal is accepted. */
 void accept_beyond(const struct entry *entry, const struct subject *subject);
+/* END, FETCH or EXPIRE of a goal; index + 1 of its node where it is such a one, else 0. */
+unsigned step_beyond(const uint8_t *goal, enum goal_event event);
+/* Whether the node `me` (index + 1) has accepted the goal, and there was no room for it. */
+bool is_beyond(unsigned me, const uint8_t *goal);
+/* Another node of the role of `me` that lives and has such goals, as index + 1; 0 where there is none. `in_progress`: that
+ * have not ended. */
+unsigned other_beyond(unsigned me, bool in_progress);
+/* Find room for them. With `lock`. */
+void place_beyond(void);
 
 /* -- goals of two nodes that are cancelled by one request (cancelled.c) ----------------------------------------------- */
 

@@ -73,7 +73,8 @@ static void answering(struct entry *entry, const struct request_id *id, int64_t 
 bool begin_request(struct requests *requests, struct entry *entry, const struct request_id *id,
                    const struct subject *subject, int64_t since, struct taken **taken)
 {
-  struct goal *goal = entry->service == SEND_GOAL ? reserve_goal(requests, entry, subject) : NULL;
+  uint32_t port = (uint32_t)(entry->port - page->ports) + 1;
+  struct goal *goal = entry->service == SEND_GOAL ? reserve_goal(requests, entry->me, port, subject->goal) : NULL;
   *taken = NULL;
   if (!claim_request(requests, id, false)) {
     if (goal)
