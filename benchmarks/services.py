@@ -2,8 +2,9 @@
 
 Components with Midstride's API, and nodes without it behind `gate preload`, in plain rclpy and in C on rcl, replaced by
 Midstride. Beside them: a server that is killed and another one started; lifecycle nodes that serve while they
-are active, of which one is deactivated and then the next one activated, as a lifecycle manager would; and a server
-that stays. Clients of the first two give a request up after 1 s.
+are active, of which one is deactivated and then the next one activated, as a lifecycle manager would; a server
+that stays; and one that stays and stalls for 0.15 s now and then, with ROS's queue of ten requests and with one of 200.
+Clients of the servers that Midstride does not replace give a request up after 1 s, but for those of the one that stays.
 Clients and servers count, in the same way for each. *At the cut* is what was sent between the last response of the old
 server and the first one of the new server, or at most a period (0.1 s) before or after.
 
@@ -203,6 +204,28 @@ async def steady(folder: Path, swaps: int) -> tuple[Figures, list[str]]:
     return figures(calls, 0), []
 
 
+# How long a server that stalls gets no processor (s), as on a machine with too much to do.
+STALL = 0.15
+
+
+async def stalled(folder: Path, swaps: int, depth: int) -> tuple[Figures, list[str]]:
+    """One server, which is stopped for a moment now and then. ``depth``: for how many requests its queue has room."""
+    written(folder)
+    profile = f"qos_profile=__import__('rclpy.qos').qos.QoSProfile(depth={depth})"
+    (folder / "server.py").write_text(SERVER.replace('"count", count)', f'"count", count, {profile})'))
+    server = started(folder, "server")
+    try:
+        async with calling(folder, looked, patience=PATIENCE) as calls:
+            for _ in range(swaps):
+                server.send_signal(signal.SIGSTOP)
+                await asyncio.sleep(STALL)
+                server.send_signal(signal.SIGCONT)
+                await asyncio.sleep(10 * PERIOD)
+    finally:
+        end(server)
+    return figures(calls, 0), []
+
+
 Way = Callable[[Path, int], Awaitable[tuple[Figures, list[str]]]]
 WAYS: Mapping[str, Way] = {
     "replaced, API": lambda folder, swaps: replaced(folder, swaps, ("OurOther", "Ours")),
@@ -211,6 +234,8 @@ WAYS: Mapping[str, Way] = {
     "killed": killed,
     "lifecycle": switched,
     "none": steady,
+    "stalled, 10": lambda folder, swaps: stalled(folder, swaps, 10),
+    "stalled, 200": lambda folder, swaps: stalled(folder, swaps, 200),
 }
 
 

@@ -95,6 +95,7 @@ def test_what_outlasts_its_time_to_answer_is_in_plan_and_report(tmp_path: Path) 
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kinds", [("Other", "Plain"), ("Id", "Info"), ("OurOther", "Ours")])
 def test_every_request_is_handled_once_across_many_replacements(tmp_path: Path, kinds: tuple[str, str]) -> None:
     replaced(tmp_path, list(islice(cycle(kinds), REPLACEMENTS)))
