@@ -7,7 +7,8 @@
  * another node in the process, that publishes on the topic as well, as WRITER + 1000. FAKE_NODES has the names of nodes that
  * it creates first, with the name `/given` for all by the rules of the command line: one with `=` has that other name by a
  * rule of its own, and one with `-` is ended at once. With FAKE_WITHIN, it uses intra-process communication as rclcpp does, and
- * only a subscription of the process gets its messages.
+ * only a subscription of the process gets its messages; where that is `both`, one elsewhere does as well, and where it is
+ * `untold`, tracetools is not called, as by rclcpp of Humble.
  * With FAKE_LOADS, it does nothing but what it reads, a line each, and says when that is done: `+NAME` creates a node of that
  * full name with a publisher on the topic, `.NAME` removes the publisher of the last such node, `-NAME` ends the node. */
 #define _GNU_SOURCE
@@ -40,6 +41,7 @@ struct publisher_base {
 void setup(struct publisher_base *, uint64_t, uint64_t **)
     __asm__("_ZN6rclcpp13PublisherBase19setup_intra_processEmSt10shared_ptrINS_12experimental19IntraProcessManagerEE");
 int fake_deliver(const uint64_t *);
+void ros_trace_rclcpp_intra_publish(const void *, const void *);
 
 static long long now(void)
 {
@@ -148,9 +150,13 @@ int main(int count, char **arguments)
       rcl_timer_call(NULL);
     if (!getenv("FAKE_INPUT_NS"))
       message[1] = (uint64_t)number;
-    if (base.takes_part && registered)
+    const char *within = base.takes_part && registered ? getenv("FAKE_WITHIN") : NULL;
+    if (within) {
+      if (strcmp(within, "untold") != 0)
+        ros_trace_rclcpp_intra_publish(&publisher, message);
       fake_deliver(message);
-    else
+    }
+    if (!within || strcmp(within, "both") == 0)
       rcl_publish(&publisher, message, NULL);
     if (strcmp(way, "twice") == 0)
       rcl_publish(&publisher, message, NULL);

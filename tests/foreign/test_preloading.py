@@ -18,7 +18,7 @@ import pytest
 
 from midstride.foreign import build
 from midstride.foreign.elf import read_elf
-from midstride.foreign.preloading import StartedPrograms, why_not_loaded, why_unseen
+from midstride.foreign.preloading import StartedPrograms, is_secure, why_not_loaded, why_unseen
 
 # Says whether a library of the name that it is given is in its process, and waits if that is asked for.
 PROGRAM = """
@@ -211,6 +211,44 @@ def test_a_script_is_its_interpreter_and_env_what_it_starts(
     assert StartedPrograms.of(["/no/such/program"], 0, {}).why_not(gate) is None, "that is said elsewhere"
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["-u", "LD_PRELOAD"], "`env -u LD_PRELOAD` takes the library of the gate away"),
+        (["-uLD_PRELOAD"], "`env -u LD_PRELOAD` takes"),
+        (["-vu", "LD_PRELOAD", "A=b"], "`env -u LD_PRELOAD` takes"),
+        (["--unset=LD_PRELOAD"], "`env -u LD_PRELOAD` takes"),
+        (["-i", "A=b"], "`env -i` takes the library of the gate away (`LD_PRELOAD`)"),
+        (["-"], "`env -` takes"),
+        (["-C", "/", "--ignore-environment"], "`env --ignore-environment` takes"),
+        (["LD_PRELOAD=libc.so.6"], "`env LD_PRELOAD=libc.so.6` puts another library in the place of the gate's"),
+        (["-S", "-u LD_PRELOAD A=b"], "`env -u LD_PRELOAD` takes"),
+        (["-u", "HOME", "-C", "/", "A=LD_PRELOAD"], None),
+        (["--chdir=/", "--"], None),
+        ([], None),
+    ],
+)
+def test_env_may_take_the_library_away(
+    compiled: Callable[..., Path], gate: Path, words: Sequence[str], said: str | None
+) -> None:
+    program = compiled("plain")
+    command = ["/usr/bin/env", *words, str(program)]
+    for length in (0, len(command) - 1):
+        started = StartedPrograms.of(command, length, {"PATH": "/bin"})
+        assert started.programs == ("/usr/bin/env", str(program)), "the program behind it is not found"
+        why = started.why_not(gate)
+        assert (why is None) if said is None else (why is not None and said in why and "`gate relay`" in why)
+    assert says(command, gate) == ("loaded" if said is None else "not loaded")
+
+
+def test_the_vector_of_a_process_of_32_bits_is_read_in_its_own_words() -> None:
+    for bits, form in ((32, "=I"), (64, "=Q")):
+        for secure in (0, 1):
+            vector = b"".join(struct.pack(form, word) for word in (16, 7, 23, secure, 6, 4096, 0, 0, 0, 0, 0, 0))
+            assert is_secure(vector, bits) == bool(secure)
+            assert is_secure(vector + b"\0" * 4, bits) == bool(secure), "as if a part of a word was left"
+
+
 def test_a_program_for_another_processor_does_not(compiled: Callable[..., Path], gate: Path) -> None:
     other = bytearray(compiled("plain").read_bytes())
     struct.pack_into("<H", other, 18, 40)
@@ -237,6 +275,29 @@ def test_what_publishes_by_agnocast_is_refused_by_what_it_is_linked_with(
     assert component == why, "a component's library"
     preloaded = StartedPrograms((plain,), {"LD_PRELOAD": "/opt/libagnocast_heaphook.so:libx.so"}).why_not(gate)
     assert "`LD_PRELOAD` has libagnocast_heaphook.so" in (preloaded or "")
+
+
+def test_a_running_process_of_rcl_shows_that_the_library_was_taken_away(
+    compiled: Callable[..., Path], gate: Path, tmp_path: Path
+) -> None:
+    library = tmp_path / "librcl.so"
+    shutil.copyfile(compiled("empty_rcl", "-shared", "-fPIC", "-Wl,-soname,librcl.so", source="int nothing;"), library)
+    program = compiled("of_rcl", "-Wl,--no-as-needed", str(library))
+    shown = tmp_path / f"gate-0123456789abcdef-{os.uname().machine}.so"
+    shutil.copyfile(gate, shown)
+    for words, taken in ((["env", "-u", "LD_PRELOAD"], True), (["env", "A=b"], False)):
+        command = ["sh", "-c", f"{' '.join(words)} {program} x wait; true"]
+        environment = {**os.environ, "LD_PRELOAD": str(shown), "LD_LIBRARY_PATH": str(tmp_path)}
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True, env=environment)
+        try:
+            assert process.stdout is not None and process.stdout.readline()
+            unseen = why_unseen(process.pid)
+            assert (unseen is not None) == taken
+            assert unseen is None or ("uses rcl, and was started without the library" in unseen.why)
+            assert unseen is None or unseen.settled == 0.0
+        finally:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
 
 
 @needs_root

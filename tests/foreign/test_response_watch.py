@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from midstride.backends.ros2.manager.seen_answers import SeenAnswers
+from midstride.backends.ros2.manager.seen_nodes import SeenNodes
 from midstride.codec.component_form import NamedComponentForm
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
@@ -251,7 +252,7 @@ def test_capture_reads_how_long_each_took(
         lab.record("server", served.port.node - 1, next(iter(load_text(TEXT).require().components.values())))
         served.does("take")
         served.does("answer 1")
-        seen = SeenAnswers(tmp_path)
+        seen = SeenAnswers(SeenNodes(tmp_path))
         seen.look()
         assert seen.took == {("/server", "/count"): []}
         for number in (2, 3):

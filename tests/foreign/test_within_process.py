@@ -13,7 +13,7 @@ import pytest
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.foreign.gated_agent import ForeignAgent
-from midstride.foreign.gates import PATIENCE, Gates
+from midstride.foreign.gates import PATIENCE, Gates, total
 from midstride.foreign.page_layout import OPEN, OUTPUT, Within
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
@@ -76,6 +76,25 @@ def test_without_a_port_it_takes_part_and_is_not_said_to_be_handed_over(lab: Lab
     until(lambda: lab.count() > 10, "it does not write")
     assert set(lab.page.unstated(index)) == {"/chat"}
     assert not Gates(lab.page, index, ComponentSpec.of("Talker")).unstated_topics()
+
+
+@pytest.mark.parametrize(
+    ("readers", "inside", "passed", "written"),
+    [("only", 200, 0, 200), ("both", 200, 200, 200), ("untold", 0, 0, 0)],
+)
+def test_what_goes_within_the_process_is_counted_once(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, readers: str, inside: int, passed: int, written: int
+) -> None:
+    monkeypatch.setenv("FAKE_WITHIN", readers)
+    index = lab.page.allocate("talker")
+    Gates(lab.page, index, ComponentSpec.of("Talker", run="talker", gate="preload")).prepare({})
+    lab.start(index, "/chat", str(MS // 5), "200")
+    until(lambda: lab.count() == 200 + passed, "not all is written")
+    port = lab.port(index)
+    until(lambda: int(port.written) == written, "not each is counted once")
+    assert (int(port.inside), int(port.passed)) == (inside, passed)
+    assert port.within == Within.TAKES_PART and total(port) == written
+    assert (port.last > 0) == (written > 0)
 
 
 def test_an_output_that_takes_part_is_a_difference(lab: Lab, tmp_path: Path) -> None:

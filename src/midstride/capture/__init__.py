@@ -1,6 +1,6 @@
 """A look at a running ROS graph, and what it proposes for a specification: ports, types, QoS and rates."""
 
 PUBLIC = (
-    "Count Dependences MOST_ROUNDS ObservedEndpoint ObservedGraph ProbedGates ProbedPort ROUNDS draft drafted_nodes "
-    "drafted_services duration insert nodes_without_ports note_managers probe probed_inputs words_on"
+    "Count Dependences MAX_TIMES MOST_ROUNDS ObservedEndpoint ObservedGraph ProbedGates ProbedPort ROUNDS draft "
+    "drafted_nodes drafted_services duration insert nodes_without_ports note_managers probe probed_inputs words_on"
 )

@@ -18,6 +18,7 @@ class ObservedEndpoint:
     """A publisher (``output``) or a subscription, or a server (``output``) or a client of a service or ROS action.
 
     ``node`` and ``topic`` are full names; ``identity`` is unique among publishers and subscriptions.
+    ``process`` is equal for endpoints of one process, and empty where the middleware does not tell.
     """
 
     node: str
@@ -26,6 +27,7 @@ class ObservedEndpoint:
     output: bool
     qos: QoS
     identity: str
+    process: bytes = b""
 
     @property
     def kind(self) -> ConnectorKind:
@@ -48,6 +50,8 @@ class ObservedGraph:
 
     ``endpoints``: publishers and subscriptions; ``services``: the servers and clients of services and ROS actions.
     ``lazy``: the nodes and topics of publishers that have gone when nothing subscribed to them any more.
+    ``subscribed``: the topics that were subscribed to; ``counted``: by node and topic, when outputs were written (s, of
+    one clock) whose messages the library in their process counts.
     ``lifecycle``: the lifecycle nodes, and ``managers``: by node that changes the lifecycle state of others, these.
     """
 
@@ -56,6 +60,8 @@ class ObservedGraph:
     services: dict[tuple[str, str, bool], ObservedEndpoint] = field(default_factory=dict)
     unreadable: set[str] = field(default_factory=set)
     lazy: set[tuple[str, str]] = field(default_factory=set)
+    subscribed: set[str] = field(default_factory=set)
+    counted: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     lifecycle: set[str] = field(default_factory=set)
     managers: dict[str, set[str]] = field(default_factory=dict)
     # By node and service or ROS action, how long each response took (s), where the library in its process shows that.
@@ -84,6 +90,8 @@ class ObservedGraph:
 
     def times(self, endpoint: ObservedEndpoint) -> list[float] | None:
         """When ``endpoint`` published, as far as it can be distinguished from others on its topic."""
+        if (counted := self.counted.get((endpoint.node, endpoint.topic))) is not None:
+            return counted
         if (endpoint.topic, endpoint.identity) in self._times:
             return self._times[endpoint.topic, endpoint.identity]
         if len(self.publishers(endpoint.topic)) > 1:
@@ -108,6 +116,7 @@ class ObservedGraph:
             self,
             endpoints=of_nodes(self.endpoints),
             services=of_nodes(self.services),
+            counted={(name_of(node), topic): times for (node, topic), times in self.counted.items()},
             lazy={(name_of(node), topic) for node, topic in self.lazy},
             lifecycle={*map(name_of, self.lifecycle)},
             managers={name_of(node): {*map(name_of, managed)} for node, managed in self.managers.items()},

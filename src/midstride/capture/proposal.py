@@ -174,7 +174,7 @@ def node_block(ports: Iterable[ProposedPort]) -> str:
 
 def _measured(graph: ObservedGraph, endpoint: ObservedEndpoint) -> tuple[MeasuredRate | None, str]:
     times = graph.times(endpoint)
-    if endpoint.type in graph.unreadable:
+    if endpoint.type in graph.unreadable and (endpoint.node, endpoint.topic) not in graph.counted:
         return None, "rate not measured: the package of its type is not here"
     if times is None:
         return None, "rate not measured: several nodes publish on the topic"

@@ -25,6 +25,8 @@ SOURCES: Final = tuple(
 )
 _OPTIONS: Final = "-std=c11 -O2 -shared -fPIC -fvisibility=hidden".split()
 _LIBRARIES: Final = ("-lpthread", "-ldl")
+# How the name of the library begins.
+STEM: Final = "gate-"
 # Where the package has the library ready, by machine, as `uname -m` names it.
 PREBUILT: Final = Path(__file__).parent / "prebuilt"
 MACHINES: Final = ("x86_64", "aarch64")
@@ -110,7 +112,7 @@ def prebuilt_path(machine: str = platform.machine()) -> Path:
 
 def library_name(machine: str) -> str:
     """The name of the library for a ``machine``, with the hash of the sources and options that it is made from."""
-    return f"gate-{_digest()}-{machine}.so"
+    return f"{STEM}{_digest()}-{machine}.so"
 
 
 def _why_not_prebuilt() -> str:

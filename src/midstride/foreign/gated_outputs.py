@@ -143,8 +143,7 @@ class GatedOutputs(UngatedOutputs):
         return replies.Attached(matched=matched)
 
     async def count_writes(self, command: commands.CountWritesCommand) -> replies.CountedWrites:
-        entry = self._gates.entry(command.port)
-        return replies.CountedWrites(written=entry.passed + entry.gated)
+        return replies.CountedWrites(written=self._gates.total(command.port))
 
     async def await_write(self, command: commands.AwaitWriteCommand) -> replies.GatedWrites:
         """With a rate, what was written before does not count: it may hang by now."""
@@ -156,13 +155,13 @@ class GatedOutputs(UngatedOutputs):
         return replies.GatedWrites(gated=entry.gated - begun, wrong_type=None)
 
     async def await_rate(self, command: commands.AwaitRateCommand) -> replies.RateVerdict:
-        entry, deadline = self._gates.entry(command.port), time.monotonic() + command.timeout
+        gates, deadline = self._gates, time.monotonic() + command.timeout
         if command.known_clock and self._node.record.simulated_time:
             return replies.RateVerdict(reached=command.until == "met", rate=command.rate, pause=0.0)
-        begun = entry.passed + entry.gated
+        begun = gates.total(command.port)
         watch = RateWatch(command.rate, command.window, time.monotonic_ns())
         while True:
-            watch.see(entry.passed + entry.gated - begun, time.monotonic_ns())
+            watch.see(gates.total(command.port) - begun, time.monotonic_ns())
             reached = watch.kept if command.until == "met" else watch.broken
             if reached or time.monotonic() >= deadline:
                 return replies.RateVerdict(reached=reached, rate=round(watch.rate, 3), pause=round(watch.pause, 3))

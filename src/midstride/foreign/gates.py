@@ -344,10 +344,22 @@ class Gates:
 
     # -- what has passed -------------------------------------------------------------------------------
 
+    def total(self, port: str) -> int:
+        """How many messages an output has published or held back, or an input has received or dropped."""
+        return total(self.entry(port))
+
     def age(self, port: str) -> float | None:
         """Seconds since the last message that was published or held back, or received; None before the first."""
         tried = self.entry(port).tried
         return max(0, time.monotonic_ns() - tried) / 1e9 if tried else None
+
+
+def total(entry: PagePort) -> int:
+    """How many messages a port has let pass and held back, in all.
+
+    Of an output that takes part in intra-process communication: how many it has published, each once.
+    """
+    return int(entry.written if entry.inside else entry.passed + entry.gated)
 
 
 def share_baton(

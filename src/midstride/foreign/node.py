@@ -323,8 +323,8 @@ class ForeignNode:
         if self.record.simulated_time:
             return None
         now = time.monotonic()
-        entry, window = gates.entry(port), window_of(self.component.stated_rate(port, self.record.modes))
-        seen, total = self._counts.setdefault(port, deque()), int(entry.passed + entry.gated)
+        window = window_of(self.component.stated_rate(port, self.record.modes))
+        seen, total = self._counts.setdefault(port, deque()), gates.total(port)
         if not seen or now - seen[-1][0] >= SAMPLE:
             seen.append((now, total))
         while len(seen) > 2 and seen[1][0] <= now - window:

@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 15
+VERSION: Final = 16
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -30,6 +30,8 @@ ADDED: Final = 4
 ANSWERED: Final = 256
 # Of how many messages it is known that an input has received them.
 RECEIPTS: Final = 16384
+# Of how many messages of an output it is known when they were written.
+WRITES: Final = 128
 # Of how many requests that a server has answered it is known how long each took.
 LATEST: Final = 8
 
@@ -97,6 +99,9 @@ class PagePort(ctypes.Structure):
         ("overlaps", c_uint64),
         ("recorded", c_uint32),
         ("within", c_uint32),
+        ("written", c_uint64),
+        ("inside", c_uint64),
+        ("wrote", c_uint32 * WRITES),
         ("topic", c_char * NAME),
     ]
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from midstride.foreign.build import STEM
 from midstride.foreign.elf import ElfFile, read_elf
 
 PRELOAD: Final = "LD_PRELOAD"
@@ -31,30 +32,37 @@ _LOADER: Final = re.compile(r"ld(-|\.so)")  # it may be named as a program, too
 _AT_SECURE: Final = 23
 # A program that also uses rcl has made its endpoints by then (s), besides what it states (`takes`).
 AGNOCAST_SETTLED: Final = 5.0
-# Starts its arguments as another program, in its own process, after variables and options.
+# Starts its arguments as another program, in its own process, after variables and options; those that a word follows.
 _ENV: Final = "env"
+_ENV_TAKE_WORDS: Final = {"-u": "--unset", "-C": "--chdir", "-S": "--split-string", "-a": "--argv0"}
+# What a process has loaded that uses rcl, and one that has the library of the gate.
+_RCL: Final = "/librcl.so"
+_GATE: Final = f"/{STEM}"
 
 
 @dataclass(frozen=True, slots=True)
 class StartedPrograms:
     """The programs of one command: its first word, and the one behind its prefix; ``libraries`` that it loads later.
 
-    ``environment`` is that of the process.
+    ``environment`` is that of the process. ``taken_away``: how the command takes ``LD_PRELOAD`` away from what it
+    starts, in words.
     """
 
     programs: tuple[str, ...]
     environment: Mapping[str, str]
     libraries: tuple[str, ...] = ()
+    taken_away: str | None = None
 
     @classmethod
     def of(
         cls, command: Sequence[str], prefix: int, environment: Mapping[str, str], libraries: Sequence[str] = ()
     ) -> StartedPrograms:
         """The programs of ``command``, of which the first ``prefix`` words stand before the program itself."""
-        found = list(_run_by(list(command[prefix:]), environment))
+        found, taken_away = _run_by(list(command[prefix:]), environment)
         if prefix:
-            found = [*_run_by(list(command[:prefix]), environment), *found]
-        return cls(tuple(dict.fromkeys(found)), environment, tuple(libraries))
+            before, earlier = _run_by(list(command[:prefix]), environment)
+            found, taken_away = [*before, *found], earlier or taken_away
+        return cls(tuple(dict.fromkeys(found)), environment, tuple(libraries), taken_away)
 
     def why_not(self, library: Path | None = None) -> str | None:
         """Why a gate in the process would hold nothing back, and what to write instead; None where nothing says so.
@@ -63,7 +71,7 @@ class StartedPrograms:
         """
         gate = None if library is None else read_elf(library)
         reasons = (why_not_loaded(program, gate) for program in self.programs)
-        return next(filter(None, reasons), None) or self._agnocast()
+        return next(filter(None, reasons), None) or self.taken_away or self._agnocast()
 
     def _agnocast(self) -> str | None:
         preloaded = next((each for each in _listed(self.environment) if _AGNOCAST in os.path.basename(each)), None)
@@ -131,10 +139,16 @@ def why_unseen(pid: int) -> Unseen | None:
                     "`gate none`",
                     settled=0.0 if privileged else None,
                 )
-            if _AGNOCAST in Path(f"/proc/{each}/maps").read_text(errors="replace"):
+            loaded = Path(f"/proc/{each}/maps").read_text(errors="replace")
+            if _AGNOCAST in loaded:
                 return Unseen(_by_agnocast(f"its process {each} has loaded it"), settled=AGNOCAST_SETTLED)
             if (why := why_not_loaded(os.readlink(f"/proc/{each}/exe"))) is not None:
                 return Unseen(why, settled=None)  # it may start a program that is none
+            if _RCL in loaded and _GATE not in loaded:
+                return Unseen(
+                    f"its process {each} uses rcl, and was started without the library, as by a script that changes "
+                    f"`{PRELOAD}`, `env -i` or `sudo`: have that keep the variable, or declare it with `gate relay`"
+                )
     return None
 
 
@@ -153,7 +167,15 @@ def _has_privileges(pid: int) -> bool | None:
         vector = Path(f"/proc/{pid}/auxv").read_bytes()
     except PermissionError:
         return None
-    return any(kind == _AT_SECURE and value for kind, value in struct.iter_unpack("NN", vector))
+    elf = read_elf(f"/proc/{pid}/exe")
+    return is_secure(vector, 64 if elf is None else elf.bits)
+
+
+def is_secure(vector: bytes, bits: int) -> bool:
+    """Return whether the auxiliary vector of a process, whose words have so many ``bits``, has AT_SECURE set."""
+    pair = struct.Struct("=II" if bits == 32 else "=QQ")
+    whole = vector[: len(vector) // pair.size * pair.size]
+    return any(kind == _AT_SECURE and value for kind, value in pair.iter_unpack(whole))
 
 
 def _by_agnocast(seen: str) -> str:
@@ -164,19 +186,67 @@ def _listed(environment: Mapping[str, str]) -> list[str]:
     return [each for each in re.split(r"[:\s]+", environment.get(PRELOAD, "")) if each]
 
 
-def _run_by(words: list[str], environment: Mapping[str, str]) -> Iterator[str]:
-    """The paths of the programs that these words start: the interpreter of a script, and what `env` starts."""
+def _run_by(words: list[str], environment: Mapping[str, str]) -> tuple[list[str], str | None]:
+    """The paths of the programs that these words start: the interpreter of a script, and what `env` starts.
+
+    Also how `env` takes ``LD_PRELOAD`` away from what it starts, in words; None where it does not.
+    """
+    found: list[str] = []
+    taken_away: str | None = None
     for _ in range(_SCRIPTS):
         if not words or (path := shutil.which(words[0], path=environment.get("PATH"))) is None:
-            return
+            break
         if interpreter := _interpreter(path):
             words = [*interpreter, path, *words[1:]]
             continue
-        yield path
+        found.append(path)
         if os.path.basename(path) != _ENV:
-            return
-        started = (at for at, word in enumerate(words) if at and not word.startswith("-") and "=" not in word)
-        words = words[next(started, len(words)) :]
+            break
+        words, how = _behind_env(words[1:])
+        taken_away = taken_away or how
+    return found, taken_away
+
+
+def _behind_env(words: list[str]) -> tuple[list[str], str | None]:
+    """The words of the command that `env` starts, and how it takes ``LD_PRELOAD`` away from it, in words."""
+    how: str | None = None
+    otherwise = f"leave that out (`environment {{ }}` may state `{PRELOAD}`), or declare it with `gate relay`"
+    options = True  # up to the first word that is none
+    while words:
+        word, words = words[0], words[1:]
+        if not (options and word.startswith("-")):
+            options = False
+            name, equals, value = word.partition("=")
+            if not equals:
+                return [word, *words], how
+            if name == PRELOAD:
+                how = f"`env {word}` puts another library in the place of the gate's: {otherwise}"
+            continue
+        option, value, words = _option_of_env(word, words)
+        if option == "--split-string":
+            words = [*value.split(), *words]
+        elif option in ("-", "-i", "--ignore-environment"):
+            how = f"`env {option}` takes the library of the gate away (`{PRELOAD}`): {otherwise}"
+        elif option == "--unset" and value == PRELOAD:
+            how = f"`env -u {PRELOAD}` takes the library of the gate away: {otherwise}"
+        options = option not in ("-", "--")
+    return [], how
+
+
+def _option_of_env(word: str, words: list[str]) -> tuple[str, str, list[str]]:
+    """An option, by its long name where a word follows it; that word; and the words behind both."""
+    if word.startswith("--") or word == "-":
+        option, equals, value = word.partition("=")
+    else:  # several may stand behind one dash
+        option, value = word[:2], word[2:]
+        equals = value
+        if option in _ENV_TAKE_WORDS:
+            option = _ENV_TAKE_WORDS[option]
+        elif value:
+            return option, "", [f"-{value}", *words]
+    if option in _ENV_TAKE_WORDS.values() and not equals and words:
+        return option, words[0], words[1:]
+    return option, value, words
 
 
 def _interpreter(path: str) -> list[str]:

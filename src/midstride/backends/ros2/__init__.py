@@ -84,21 +84,23 @@ def create_backend(
 
 
 def observe(seconds: float, nodes: Collection[str] = (), gates: Path | None = None) -> ObservedGraph:
-    """See :func:`.manager.observer.observe`, and for ``gates``, :class:`.manager.seen_answers.SeenAnswers`.
+    """See :func:`.manager.observer.observe`.
 
-    Raises BackendError without ROS 2.
+    ``gates``: the folder of the page of a system, where the library in its nodes shows how long their servers take to
+    answer, and when they publish. Raises BackendError without ROS 2.
     """
     _require_rclpy()
-    from midstride.backends.ros2.manager import observer, seen_answers
+    from midstride.backends.ros2.manager import observer, seen_answers, seen_nodes, seen_writes
 
     if gates is None:
         return observer.observe(seconds, nodes)
-    answers = seen_answers.SeenAnswers(gates)
+    seen = seen_nodes.SeenNodes(gates)
+    answers = seen_answers.SeenAnswers(seen)
 
     def looked(_: ObservedGraph) -> bool:
         answers.look()
         return False
 
-    graph = observer.observe(seconds, nodes, looked)
+    graph = observer.observe(seconds, nodes, looked, seen_writes.SeenWrites(seen))
     graph.took = answers.took
     return graph

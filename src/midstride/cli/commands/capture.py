@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Final
 
 import click
 
@@ -36,6 +37,9 @@ from midstride.model.instance_names import full_name
 from midstride.model.lifecycle_management import MANAGEMENTS, Management
 from midstride.model.wording import counted
 from midstride.runtime.workspace import Workspace
+
+# How many of the topics that were subscribed to are named.
+_SHOWN: Final = 5
 
 
 @click.command("capture")
@@ -80,7 +84,8 @@ def capture_command(
     """Look at the running ROS 2 nodes, and propose their ports with types, QoS and rates.
 
     Services and ROS actions are proposed where nodes call each other; comments name the others. How fast they answer
-    is seen of nodes that have a gate inside and run under `midstride up`.
+    is seen of nodes that have a gate inside and run under `midstride up`; what these publish is counted in their
+    processes, and to other topics this subscribes.
     The time counts from when the nodes of FILE have been seen, or 10 s later.
     With `--into`, nodes of FILE that have no ports get them, and the rest stays as it is; otherwise a draft is
     printed, or written with `-o`.
@@ -195,6 +200,15 @@ def _probed(
     return probe(gates, ports, seconds, progress)
 
 
+def _subscribed_in_words(graph: ObservedGraph) -> str:
+    topics = sorted(graph.subscribed)
+    shown = ", ".join(topics[:_SHOWN]) + (f" and {len(topics) - _SHOWN} more" if len(topics) > _SHOWN else "")
+    return (
+        f"subscribed to {counted(len(topics), 'topic')} to measure rates, as no library counts in the process of a "
+        f"publisher: {shown}; a publisher that uses intra-process communication serializes each message for that"
+    )
+
+
 def _report(
     text: str,
     target: Path | None,
@@ -211,6 +225,7 @@ def _report(
                 "file": None if target is None else str(target),
                 "specification": text if target is None else None,
                 "seconds": graph.seconds,
+                "subscribed": sorted(graph.subscribed),
                 "nodes": added,
                 "ports": ports,
                 "left": left,
@@ -230,5 +245,7 @@ def _report(
         click.echo(words, err=True)
     for type_ in sorted(graph.unreadable):
         click.echo(f"{type_}: its package is not here, so rates are not measured", err=True)
+    if graph.subscribed:
+        click.echo(_subscribed_in_words(graph), err=True)
     where = f" in {target}" if target is not None else ""
     click.echo(f"{counted(len(added), 'node')}{where} with {counted(ports, 'port')}", err=True)

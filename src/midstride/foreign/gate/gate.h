@@ -195,6 +195,8 @@ bool enter(struct page *shared, unsigned own, int file, struct port *port, bool 
 void leave(struct pass *pass);
 /* A message has passed, or has been held back. */
 void count_call(struct port *port, bool passed);
+/* A message of an output has been published: it counts once, also where it goes two ways. */
+void count_written(struct port *port);
 
 /* -- which message a call answers (inputs.c) --------------------------------------------------------------------------- */
 
@@ -223,6 +225,8 @@ void note_receipt(struct entry *entry, const struct message_info *info);
 
 /* This thread has created a publisher. */
 void note_created(const void *publisher);
+/* Whether the message that this thread publishes now has been counted, as subscriptions of the process have got it before. */
+bool has_counted(const void *publisher);
 
 /* -- what is kept of publishers (publishers.c) ------------------------------------------------------------------------ */
 

@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 15 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 16 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -29,6 +29,7 @@
 #define ADDED 4 /* how many requests to cancel many goals can be under way at two nodes of a role at once */
 #define ANSWERED 256 /* of how many pairs of an output and a writer of what it answers is the last answer known for a role */
 #define LATEST 8 /* of how many requests that a server has answered it is known how long each took */
+#define WRITES 128 /* of how many messages of an output it is known when they were written */
 #define RECEIPTS 16384 /* of how many messages it is known that an input has received them */
 #define NAME 256
 #define MARK 16 /* of the identity of an endpoint in the graph */
@@ -74,6 +75,12 @@ struct port {
   _Atomic uint64_t overlaps;
   _Atomic uint32_t recorded; /* of an input: whether what it receives is noted, in a file of the port beside the page */
   _Atomic uint32_t within; /* flags, as above */
+  /* Of an output: how many messages its node has published, each once, whether it went through the middleware or stayed in
+   * the process; how many of them were given to subscriptions of the process by intra-process communication; and when the
+   * last ones were published (CLOCK_MONOTONIC, us, modulo 2^32): number n is at n % WRITES, the first is 0. */
+  _Atomic uint64_t written;
+  _Atomic uint64_t inside;
+  _Atomic uint32_t wrote[WRITES];
   char topic[NAME]; /* its full name; of a server or a client, that of the service */
 };
 

@@ -121,10 +121,12 @@ static void publish_all(struct entry *entry, bool decide)
     if (decide && is_answered(entry, &kept->input))
       continue;
     note_answer(entry, &kept->input);
-    if (real_rcl_publish_serialized_message()(publisher, &kept->bytes, NULL) == 0)
+    if (real_rcl_publish_serialized_message()(publisher, &kept->bytes, NULL) == 0) {
       count_call(entry->port, true);
-    else
+      count_written(entry->port);
+    } else {
       reset_error();
+    }
   }
   discard_kept(entry, 0);
 }
@@ -237,10 +239,13 @@ static bool admitted(struct entry *entry, const void *message, const serialized 
   return false;
 }
 
-static int published(struct entry *entry, struct pass *pass, int result)
+static int published(struct entry *entry, struct pass *pass, bool counted, int result)
 {
-  if (result == 0)
+  if (result == 0) {
     count_call(entry->port, true);
+    if (!counted)
+      count_written(entry->port);
+  }
   leave(pass);
   return result;
 }
@@ -251,9 +256,10 @@ EXPORT int rcl_publish(const void *publisher, const void *message, void *allocat
   struct pass pass;
   if (!entry)
     return real_rcl_publish()(publisher, message, allocation);
+  bool counted = has_counted(publisher);
   if (!admitted(entry, message, NULL, &pass))
     return 0;
-  return published(entry, &pass, real_rcl_publish()(publisher, message, allocation));
+  return published(entry, &pass, counted, real_rcl_publish()(publisher, message, allocation));
 }
 
 EXPORT int rcl_publish_serialized_message(const void *publisher, const void *message, void *allocation)
@@ -264,7 +270,7 @@ EXPORT int rcl_publish_serialized_message(const void *publisher, const void *mes
     return real_rcl_publish_serialized_message()(publisher, message, allocation);
   if (!admitted(entry, NULL, message, &pass))
     return 0;
-  return published(entry, &pass, real_rcl_publish_serialized_message()(publisher, message, allocation));
+  return published(entry, &pass, false, real_rcl_publish_serialized_message()(publisher, message, allocation));
 }
 
 EXPORT int rcl_publish_loaned_message(const void *publisher, void *message, void *allocation)
@@ -275,5 +281,5 @@ EXPORT int rcl_publish_loaned_message(const void *publisher, void *message, void
     return real_rcl_publish_loaned_message()(publisher, message, allocation);
   if (!admitted(entry, message, NULL, &pass))
     return real_rcl_return_loaned_message_from_publisher()(publisher, message);
-  return published(entry, &pass, real_rcl_publish_loaned_message()(publisher, message, allocation));
+  return published(entry, &pass, false, real_rcl_publish_loaned_message()(publisher, message, allocation));
 }

@@ -165,6 +165,7 @@ REAL(int, rcl_trigger_guard_condition, const void *)
 REAL(int, rmw_serialize, const void *, const void *, void *)
 REAL(int, rmw_deserialize, const void *, const void *, void *)
 REAL(void, rcutils_reset_error, void)
+REAL(void, ros_trace_rclcpp_intra_publish, const void *, const void *)
 /* Of rclcpp: member functions of PublisherBase, and IntraProcessManager::remove_publisher. */
 #define SETUP_INTRA_PROCESS                                                                                              \
   "_ZN6rclcpp13PublisherBase19setup_intra_processEmSt10shared_ptrINS_12experimental19IntraProcessManagerEE"

@@ -5,15 +5,45 @@
  * which on it takes part. Where the page says so, that is left out, and the registration is undone: else these
  * subscriptions would drop what reaches them through the middleware. librclcpp exports both functions, and has not changed
  * them from Humble to Kilted.
+ *
+ * A publisher that takes part calls a function of tracetools with each message before subscriptions of the process get it
+ * (from Iron on). So what does not go through rcl_publish is counted, and without a subscription, for which the publisher
+ * would serialize. If there are readers elsewhere, the same thread passes the message to rcl_publish right after that.
  */
 #include "gate.h"
 
 /* The publisher of rcl that this thread has created last: that of rclcpp is set up right after that. */
 static _Thread_local const void *created;
 
+/* The publisher whose message this thread has counted last, until it passes that to rcl_publish. */
+static _Thread_local const void *counted;
+
 void note_created(const void *publisher)
 {
   created = publisher;
+  counted = NULL; /* it may have been another one at this address */
+}
+
+bool has_counted(const void *publisher)
+{
+  bool found = counted == publisher;
+  counted = NULL;
+  return found;
+}
+
+EXPORT void ros_trace_rclcpp_intra_publish(const void *publisher, const void *message)
+{
+  struct entry *entry = find_entry(publisher);
+  if (entry) {
+    int64_t now = now_ns();
+    atomic_store_explicit(&entry->port->tried, now, memory_order_relaxed);
+    atomic_store_explicit(&entry->port->last, now, memory_order_relaxed);
+    atomic_fetch_add_explicit(&entry->port->inside, 1, memory_order_relaxed);
+    count_written(entry->port);
+    counted = publisher;
+  }
+  if (real_ros_trace_rclcpp_intra_publish())
+    real_ros_trace_rclcpp_intra_publish()(publisher, message);
 }
 
 static struct entry *entry_of(const void *publisher)

@@ -79,3 +79,10 @@ void count_call(struct port *port, bool passed)
     atomic_fetch_add_explicit(&port->gated, 1, memory_order_relaxed);
   }
 }
+
+void count_written(struct port *port)
+{
+  uint64_t before = atomic_fetch_add_explicit(&port->written, 1, memory_order_relaxed);
+  uint32_t at = (uint32_t)(atomic_load_explicit(&port->last, memory_order_relaxed) / 1000);
+  atomic_store_explicit(&port->wrote[before % WRITES], at, memory_order_relaxed);
+}

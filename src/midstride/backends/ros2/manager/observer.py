@@ -17,6 +17,8 @@ from midstride.backends.common_messages import message_class
 from midstride.backends.ros2 import middleware
 from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, seconds_of
 from midstride.backends.ros2.manager.named_servers import named_servers
+from midstride.backends.ros2.manager.seen_writes import EVERY as LOOK
+from midstride.backends.ros2.manager.seen_writes import SeenWrites
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.errors import NodeError
 from midstride.model.contract import DEFAULT_QOS
@@ -40,10 +42,12 @@ def observe(
     seconds: float,
     nodes: Collection[str] = (),
     done: Callable[[ObservedGraph], bool] = lambda graph: False,
+    writes: SeenWrites | None = None,
 ) -> ObservedGraph:
     """Observe the graph by a hidden node for ``seconds``, or until ``done`` holds.
 
-    The time counts from when each of ``nodes`` (full names) has been seen, or PATIENCE later.
+    It subscribes to the topics of which ``writes`` does not show when all their publishers publish. The time counts
+    from when each of ``nodes`` (full names) has been seen, or PATIENCE later.
     """
     context = Context()
     rclpy.init(context=context)
@@ -51,7 +55,6 @@ def observe(
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
     graph = ObservedGraph()
-    subscribed: set[str] = set()
     begun = start = looked = time.monotonic()
     missing, appeared = set(nodes), dict[str, float]()
     try:
@@ -64,14 +67,17 @@ def observe(
                 start = now
             if now >= looked:
                 looked = now + EVERY
-                _look(node, graph, subscribed)
+                _look(node, graph, writes)
                 for name in (full_name(*found) for found in node.get_node_names_and_namespaces()):
                     appeared.setdefault(name, now)
                 graph.seconds = now - start
-            executor.spin_once(timeout_sec=0.05)
-        _look(node, graph, subscribed)
+            executor.spin_once(timeout_sec=0.05 if writes is None else LOOK)
+            if writes is not None:
+                writes.look()
+        _look(node, graph, writes)
         graph.seconds = time.monotonic() - start
-        _find_lazy(node, graph)
+        _note_counted(graph, writes)
+        _find_lazy(node, graph, writes)
         return graph
     finally:
         executor.shutdown()
@@ -79,14 +85,15 @@ def observe(
         rclpy.shutdown(context=context)
 
 
-def _look(node: Any, graph: ObservedGraph, subscribed: set[str]) -> None:
+def _look(node: Any, graph: ObservedGraph, writes: SeenWrites | None) -> None:
     for topic, _ in node.get_topic_names_and_types():
         publishers = [_endpoint(info, topic, True) for info in node.get_publishers_info_by_topic(topic)]
         graph.saw(publishers)
         graph.saw(_endpoint(info, topic, False) for info in node.get_subscriptions_info_by_topic(topic))
         wanted = [each for each in publishers if not each.is_infrastructure]
-        if wanted and topic not in subscribed:
-            subscribed.add(topic)
+        counted = writes is not None and all(writes.counts(each.node, topic) for each in wanted)
+        if wanted and topic not in graph.subscribed and not counted:
+            graph.subscribed.add(topic)
             _subscribe(node, graph, wanted)
     _look_at_services(node, graph)
 
@@ -120,8 +127,19 @@ def _look_at_services(node: Any, graph: ObservedGraph) -> None:
             graph.managers.setdefault(name, set()).update(managed - {name})
 
 
-def _find_lazy(node: Any, graph: ObservedGraph) -> None:
-    """Note the publishers that go when the last subscription to their topic does, which may be that of this node."""
+def _note_counted(graph: ObservedGraph, writes: SeenWrites | None) -> None:
+    """Note when outputs were written of which ``writes`` shows that."""
+    for node, topic, output in graph.endpoints:
+        times = writes.times(node, topic) if output and writes is not None else None
+        if times is not None:
+            graph.counted[node, topic] = times
+
+
+def _find_lazy(node: Any, graph: ObservedGraph, writes: SeenWrites | None) -> None:
+    """Note the publishers that go when the last subscription to their topic does, which may be that of this node.
+
+    Those that ``writes`` shows are not kept by a subscription of this node, and may have gone before.
+    """
     there = {(each.node, each.topic) for topic in graph.topics() for each in _published(node, topic)}
     for subscription in list(node.subscriptions):
         node.destroy_subscription(subscription)
@@ -130,6 +148,10 @@ def _find_lazy(node: Any, graph: ObservedGraph) -> None:
     for owner, topic in there:
         gone = not any(each.node == owner for each in _published(node, topic))
         if gone and owner in running and node.count_subscribers(topic) == 0:
+            graph.lazy.add((owner, topic))
+    for owner, topic, output in graph.endpoints:
+        closed = output and writes is not None and writes.has_closed(owner, topic)
+        if closed and node.count_subscribers(topic) == 0:
             graph.lazy.add((owner, topic))
 
 
@@ -170,7 +192,7 @@ def _identity(hexadecimal: str) -> str:
 
 
 def _endpoint(info: Any, topic: str, output: bool) -> ObservedEndpoint:
-    profile = info.qos_profile
+    profile, process = info.qos_profile, middleware.of_this_process().node_process(info)
     return ObservedEndpoint(
         node=full_name(info.node_name, info.node_namespace),
         topic=topic,
@@ -179,4 +201,5 @@ def _endpoint(info: Any, topic: str, output: bool) -> ObservedEndpoint:
         # The depth and the history of an endpoint are its own business, and discovery does not tell them.
         qos=replace(qos_of(profile), lifespan=seconds_of(profile.lifespan)),
         identity=_identity(bytes(info.endpoint_gid).hex()),
+        process=b"" if process is None else process.key,
     )

@@ -18,6 +18,7 @@ from typing import Final
 from midstride.capture.probe import Count, ProbedPort
 from midstride.errors import BackendError
 from midstride.foreign import build
+from midstride.foreign.gates import total
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.page_layout import OUTPUT, PagePort, PortFlag
 from midstride.foreign.record import ForeignRecord
@@ -99,7 +100,7 @@ class _Counter:
 
     def __init__(self, entry: PagePort) -> None:
         self._entry = entry
-        self._passed, self._held = int(entry.passed), int(entry.gated)
+        self._total, self._passed = total(entry), int(entry.passed)
         self._last, self._longest = time.monotonic_ns(), 0
 
     def look(self) -> None:
@@ -107,11 +108,11 @@ class _Counter:
             self._longest, self._last = max(self._longest, tried - self._last), tried
 
     def count(self) -> Count:
-        """An output counts as written where its own gate is closed, too."""
-        passed, held = int(self._entry.passed) - self._passed, int(self._entry.gated) - self._held
+        """An output counts as written where its own gate is closed, too, and where it stays within the process."""
         longest = max(self._longest, time.monotonic_ns() - self._last) / 1e9
-        output = self._entry.kind == OUTPUT
-        return Count(passed + held if output else passed, longest=longest)
+        if self._entry.kind == OUTPUT:
+            return Count(total(self._entry) - self._total, longest=longest)
+        return Count(int(self._entry.passed) - self._passed, longest=longest)
 
 
 @contextmanager
