@@ -20,6 +20,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.records.reports import Event
 
 HERE = Path(__file__).resolve().parent
@@ -165,7 +166,7 @@ async def first_reply(plane: Any, name: str, folder: Path, times: int) -> Sample
             found["first reply after process start"].append(replied - begun)
             found["first reply after end of imports"].append(replied - int(marks.read_text()) / 1e9)
             await asyncio.sleep(0.5)
-            await backend.end(instance, 3.0)
+            await backend.end(instance, DEFAULT_STOP)
     finally:
         await backend.close()
     return found
@@ -302,7 +303,7 @@ async def bare(plane: Any, name: str, folder: Path, nodes: int, seconds: float) 
 def bare_settings(name: str) -> list[tuple[str, str, dict[str, str]]]:
     """In words, the interpreter, the environment."""
     if name == "ros2":
-        from midstride.backends.ros2.dds_profiles import tuned_environment
+        from _tuned import tuned_environment
 
         # The first node of this process has read the profile: the environment is as it was.
         return [

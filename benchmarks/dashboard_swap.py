@@ -184,7 +184,7 @@ def main() -> None:
     if chromium is None:
         print("skipped: Chromium is not installed (tools/browser)")
         return
-    from midstride.backends.ros2.dds_profiles import tuned_environment
+    from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "87")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

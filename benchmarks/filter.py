@@ -105,7 +105,7 @@ def main() -> None:
     if options.recorder:
         recorder(options.recorder)
         return
-    from midstride.backends.ros2.dds_profiles import tuned_environment
+    from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "85")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -101,7 +101,7 @@ def main() -> None:
         return publish(options.publish)
     if options.receive is not None:
         return receive(options.receive)
-    from midstride.backends.ros2.dds_profiles import tuned_environment
+    from _tuned import tuned_environment
 
     own = dict(os.environ)
     for name, size in SIZES.items():

@@ -100,7 +100,8 @@ async def components(nodes: int, seconds: float, replacements: int, spares: int,
 
 
 async def bare(nodes: int, seconds: float, joins: int, *, paced: bool, tuned: bool) -> Figures:
-    from midstride.backends.ros2.dds_profiles import tuned_environment
+    from _tuned import tuned_environment
+
     from midstride.runtime.manager_clock import SystemClock
     from midstride.runtime.process.launcher import STOP_GRACE
     from midstride.runtime.process.pacing import room_for_a_start

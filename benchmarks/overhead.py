@@ -37,7 +37,7 @@ class NoFigures(Exception):
 
 
 def environment() -> dict[str, str]:
-    from midstride.backends.ros2.dds_profiles import tuned_environment
+    from _tuned import tuned_environment
 
     own = {"ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", "87"), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     return tuned_environment({**os.environ, **own})

@@ -266,7 +266,7 @@ def main() -> None:
     parser.add_argument("--busy", type=int, default=2 * (os.cpu_count() or 2), help="how many busy processes")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "reflex.json")
     options = parser.parse_args()
-    from midstride.backends.ros2.dds_profiles import tuned_environment
+    from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "87")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -119,7 +119,7 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=200, help="questions in either state (a tenth of it where slow)")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "status.json")
     options = parser.parse_args()
-    from midstride.backends.ros2.dds_profiles import tuned_environment
+    from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "86")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -303,7 +303,7 @@ def options(description: str | None, chosen: list[str], out: str) -> argparse.Na
 
 def main() -> None:
     asked = options(__doc__, ["handover", "paper", "lifecycle", "kill", "none"], "swap.json")
-    from midstride.backends.ros2.dds_profiles import tuned_environment
+    from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "86")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
