@@ -239,3 +239,13 @@ def test_parameters_of_a_component_that_are_those_of_a_node_are_not_named(tmp_pa
       <param from="$(dirname)/of.yaml"/><param name="text" value="other"/><param name="b" value="[1, 2]"/>
     </composable_node></node_container>"""
     assert "launch reads" not in "\n".join(map(str, imported(tmp_path, body, "keep").findings))
+
+
+def test_a_list_for_all_nodes_is_one_for_a_component_and_a_text_for_a_node(tmp_path: Path) -> None:
+    body = """<set_parameter name="list" value="[1, 2]"/><set_parameter name="flag" value="true"/>
+    <node_container pkg="demo" exec="box" name="box" namespace="">
+      <composable_node pkg="d" plugin="d::C" name="c"/>
+    </node_container>"""
+    said = "\n".join(map(str, imported(tmp_path, body, "keep").findings))
+    assert "the parameter `list` of the component `c` [1, 2], and here it has '(1, 2)', as a node would" in said
+    assert "`flag`" not in said

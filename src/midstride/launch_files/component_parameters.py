@@ -7,26 +7,25 @@ A value that the launch file states is passed as it is, and not read again by RO
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from midstride.launch_files.context import ParametersGiven
-from midstride.model.component import ParameterValue
 
 
-def launched_values(
-    given: ParametersGiven, text: str, role: str, read: Mapping[str, ParameterValue]
-) -> Mapping[str, Any]:
+def launched_values(given: ParametersGiven, text: str, role: str) -> Mapping[str, Any]:
     """The values of one parameter file, or of what comes to one, for the composable node ``role``.
 
-    ``read``: those that ROS would give to a node of that name, which are also those of a single parameter (`rule`).
-    Raises ValueError if launch cannot read the ``text``.
+    ``text``: that of the file. Raises ValueError if launch cannot read it.
     """
     import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
 
-    if given.rule is not None:
-        return read
     try:
+        if given.rule is not None:  # of a parameter for all nodes, which has a list in the form of Python
+            name, _, stated_as = given.rule.partition(":=")
+            is_list = stated_as.startswith("(") and stated_as.endswith(")")
+            return {name: list(ast.literal_eval(stated_as)) if is_list else yaml.safe_load(stated_as)}
         loaded = yaml.safe_load(text)
         sections = dict(_sections(loaded, ()))
         stated = {**(sections.get("**") or {}), **(sections.get(role) or {})} if sections else loaded
@@ -34,7 +33,7 @@ def launched_values(
         if given.path is None:
             return values
         return {name: _read_again(value, yaml.safe_load) for name, value in values.items()}
-    except (yaml.YAMLError, TypeError, AttributeError) as error:
+    except (yaml.YAMLError, TypeError, AttributeError, SyntaxError) as error:
         raise ValueError(str(error)) from None
 
 

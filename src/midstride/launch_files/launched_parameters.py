@@ -152,11 +152,10 @@ class ParameterReader:
     ) -> None:
         """Name the parameters that launch gives a composable node otherwise than ROS gives them to a node."""
         launched: dict[str, ParameterValue] = {}
-        own = node.launched_role or node.role
-        role = "" if node.unnamed else own
+        role = "" if node.unnamed else node.launched_role or node.role
         try:
             for given, found in read:
-                launched |= launched_values(given, found.source.text, role, self._effective([found], node, own))
+                launched |= launched_values(given, found.source.text, role)
         except ValueError:
             message = f"launch cannot read the parameters of the component `{node.role}`; here ROS's reading is taken"
             self._findings.add("parameters", message, node.span, left_out=False)
