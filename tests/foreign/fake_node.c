@@ -1,6 +1,7 @@
 /* A node: `fake_node WRITER TOPIC PERIOD_NS MESSAGES`; it lives until it is ended. With `time`, it says how much processor time a message takes (ns).
  * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one;
  * the number of what it answers, where messages have one. With `timer` behind the topic, it publishes in a timer; with
+ * `ticks`, it takes one message alone, and then publishes whenever a timer calls it; with
  * `pairs`, it takes two for each that it publishes; with `twice`, it publishes each two times.
  * FAKE_OTHERS in its environment is how many publishers of the topic it creates before, and removes after, its own.
  * FAKE_TOPICS is for how many further topics it creates publishers, TOPIC_0 and so on. With FAKE_SECOND, the full name of
@@ -31,6 +32,7 @@ int rcl_publisher_fini(void *, void *);
 int rcl_publish(const void *, const void *, void *);
 int rcl_subscription_init(void *, const void *, const void *, const char *, const void *);
 int rcl_take(const void *, void *, void *, void *);
+int rcl_timer_init2(int *, void *, void *, int64_t, void *, struct allocator, int);
 int rcl_timer_call(void *);
 
 /* Of rclcpp: PublisherBase::setup_intra_process, which its publisher has called once it is registered with the manager. */
@@ -112,6 +114,7 @@ int main(int count, char **arguments)
   void *publisher, *second_publisher, *subscription = NULL, *log;
   const char *first = "/first", *second = getenv("FAKE_SECOND"), *topics = getenv("FAKE_TOPICS");
   uint64_t message[2] = {strtoull(arguments[1], NULL, 10), 0};
+  int timer, ticking = 0;
   long long period = atoll(arguments[3]), messages = atoll(arguments[4]), begun = now(), taken = 0;
   rcl_publisher_init(&log, NULL, &type, "/rosout", NULL);
   const char *wanted = getenv("FAKE_OTHERS");
@@ -142,8 +145,10 @@ int main(int count, char **arguments)
       struct timespec pause = {left / 1000000000, left % 1000000000};
       nanosleep(&pause, NULL);
     }
-    if (subscription && rcl_take(&subscription, message, NULL, NULL) != 0)
+    if (ticking ? rcl_timer_call(&timer) != 0 : subscription && rcl_take(&subscription, message, NULL, NULL) != 0)
       continue;
+    if (strcmp(way, "ticks") == 0 && !ticking)
+      ticking = rcl_timer_init2(&timer, NULL, NULL, period, NULL, (struct allocator){{NULL}}, 1) == 0;
     if (strcmp(way, "pairs") == 0 && ++taken % 2 != 0)
       continue;
     if (strcmp(way, "timer") == 0)

@@ -184,10 +184,30 @@ int rcl_take(const void *subscription, uint64_t *message, struct message_info *i
   return 0;
 }
 
-int rcl_timer_call(void *timer)
+/* A timer is whether it has been cancelled. */
+int rcl_timer_init2(int *timer, void *clock, void *context, int64_t period, void *callback, struct allocator memory,
+                    int starts)
 {
-  (void)timer;
+  (void)clock, (void)context, (void)period, (void)callback, (void)memory, (void)starts;
+  *timer = 0;
   return 0;
+}
+
+int rcl_timer_cancel(int *timer)
+{
+  *timer = 1;
+  return 0;
+}
+
+int rcl_timer_reset(int *timer)
+{
+  *timer = 0;
+  return 0;
+}
+
+int rcl_timer_call(const int *timer)
+{
+  return timer && *timer ? 801 : 0; /* RCL_RET_TIMER_CANCELED */
 }
 
 int rcl_publisher_get_subscription_count(const struct publisher *publisher, size_t *count)

@@ -161,6 +161,25 @@ def test_what_is_not_one_answer_for_each_message_is_seen(lab: AnsweringLab, way:
     assert not other.answers_as(answering.index, ["out"])
 
 
+@pytest.mark.parametrize("way", ["", "ticks"])
+def test_nothing_calls_a_node_that_is_to_be_unloaded_until_it_stays_after_all(lab: AnsweringLab, way: str) -> None:
+    """Neither a message nor a timer, which it has made in a callback."""
+    node = lab.first(*([way] if way else []))
+
+    def looks(times: int) -> None:
+        wanted = lab.page.beat(node.index) + times
+        until(lambda: lab.page.beat(node.index) >= wanted, "its helper thread does not look")
+
+    lab.page.leaves(node.index, True)
+    looks(3)
+    written = lab.written_by(node.index)
+    looks(3)
+    assert lab.written_by(node.index) == written
+    assert bool(node.entry("in").gated) == (way == "")
+    lab.page.leaves(node.index, False)
+    publishes(node, 50)
+
+
 def outputs_of(page: Page, instance: str, predecessor: int | None = None) -> tuple[Gates, GatedOutputs]:
     """The outputs of a node that has answered messages, without its process."""
     topics = {"out": "/chat", "in": "/numbers"}

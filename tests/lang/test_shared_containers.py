@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from immutables import Map
 
 from midstride.codec.configuration_form import InstanceForm
 from midstride.codec.specification_form import decode_specification, encode_specification
@@ -17,6 +18,7 @@ from midstride.model.component import ContainerProgram, SharedContainer
 from midstride.model.specification import Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.change_builder import requested_change
+from midstride.plan.estimate import Estimate
 from midstride.plan.request import PlanRequest
 from midstride.plan.specification_diff import differences
 from midstride.plan.strategies.registry import planner
@@ -146,6 +148,14 @@ def test_one_leaves_for_a_process_for_itself_and_all_return_together(tmp_path: P
     assert any("loaded into a new process, front/pipeline_2" in each for each in planner()(second).remarks)
     third = changed(specification, PlanRequest(restart=("front/pipeline",)), second)
     assert set(processes(third).values()) == {"front/pipeline"}
+
+
+def test_a_plan_says_how_long_a_destructor_may_hold_up_the_others_of_its_container(tmp_path: Path) -> None:
+    first = changed(read(tmp_path), PlanRequest(restart=("b",)))
+    held_up = "may hold up front/a for as long as it takes"
+    assert any(f"{held_up} (not measured yet for Talker)" in each for each in planner()(first).remarks)
+    measured = replace(first, measured=Map({"remove Talker": Estimate(0.6, 0.5, 0.71)}))
+    assert any(f"{held_up} (measured: Talker ended within 710 ms)" in each for each in planner()(measured).remarks)
 
 
 def test_what_is_added_joins_the_process_that_runs(tmp_path: Path) -> None:

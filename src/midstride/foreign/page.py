@@ -20,6 +20,7 @@ from midstride.foreign.page_layout import (
     HEAD_SIZE,
     IN_USE,
     INPUT,
+    LEAVES,
     MAGIC,
     MOST_PORTS,
     NAME,
@@ -189,6 +190,12 @@ class Page:
     def is_loading(self, process: int) -> bool:
         """Return whether the container of the node ``process`` has taken a request to load, and not answered it."""
         return bool(self.layout.nodes[process].loads)
+
+    def leaves(self, index: int, now: bool) -> None:
+        """Have no timer, and no message on its ports, call the node ``index`` any more; not ``now``: they do again."""
+        node = self.layout.nodes[index]
+        node.used = node.used | LEAVES if now else node.used & ~LEAVES
+        self.ring(index)
 
     def every_port(self) -> Iterator[PagePort]:
         """The ports of all nodes, and the free ones."""

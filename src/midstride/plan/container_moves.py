@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from midstride.model.configuration import Instance
 from midstride.plan.change import Change
+from midstride.verdicts.assessment import seconds_in_words
 
 
 def in_words(change: Change) -> Iterator[str]:
@@ -36,8 +37,17 @@ def in_words(change: Change) -> Iterator[str]:
         if others := _staying(change, instance):
             yield (
                 f"{name} is unloaded from {instance.process}: its destructor runs there, and may hold up "
-                f"{', '.join(others)}; if it does not return, it ends only with all of them"
+                f"{', '.join(others)} for as long as it takes ({_known(change, instance)}); if it does not return, it "
+                "ends only with all of them"
             )
+
+
+def _known(change: Change, instance: Instance) -> str:
+    """Say how long instances of this component took to end, as far as that has been measured."""
+    component = instance.component.name
+    if (measured := change.measured.get(f"remove {component}")) is None:
+        return f"not measured yet for {component}"
+    return f"measured: {component} ended within {seconds_in_words(measured.longest)}"
 
 
 def _staying(change: Change, instance: Instance) -> list[str]:

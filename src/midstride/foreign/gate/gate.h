@@ -74,6 +74,8 @@ unsigned node_of(const void *owner);
  * creates are made by a component that is loaded. */
 void begin_loading(const char *service);
 void end_loading(const char *service);
+/* The node that this thread is loading, as index + 1; 0: none. */
+unsigned being_loaded(void);
 
 /* -- the endpoints that have a port (endpoints.c) --------------------------------------------------------------------- */
 
@@ -220,6 +222,15 @@ void note_answer(const struct entry *output, const struct input *input);
 
 /* Note a message that the node has taken, if the manager wants to know. */
 void note_receipt(struct entry *entry, const struct message_info *info);
+
+/* -- what calls a node (timers.c) -------------------------------------------------------------------------------------- */
+
+/* This thread is about to call a node of the page (index + 1; 0: another one). */
+void begin_call(unsigned me);
+/* Whether nothing is to call a node any more, since it is about to be unloaded. */
+bool has_to_leave(unsigned me);
+/* The timers of a node that is not unloaded after all call it again. With `lock`. */
+void resume_timers(void);
 
 /* -- what goes past the gate within the process (within.c) ------------------------------------------------------------- */
 

@@ -77,6 +77,7 @@ static void close_input(void)
 void end_input(void)
 {
   struct entry *source = current.source;
+  begin_call(0);
   if (!source)
     return;
   if (atomic_load(&source->endpoint) == current.endpoint) {
@@ -242,18 +243,6 @@ struct input answered_by(struct entry *output)
 }
 
 /* -- what a thread does else ------------------------------------------------------------------------------------------- */
-
-EXPORT int rcl_timer_call(void *timer)
-{
-  end_input();
-  return real_rcl_timer_call()(timer);
-}
-
-EXPORT int rcl_timer_call_with_info(void *timer, void *info)
-{
-  end_input();
-  return real_rcl_timer_call_with_info()(timer, info);
-}
 
 EXPORT int rcl_take_response(const void *client, struct request_id *id, void *response)
 {

@@ -84,11 +84,17 @@ unsigned node_of(const void *owner)
   return found ? found : port ? atomic_load(&port->node) : own_number();
 }
 
+unsigned being_loaded(void)
+{
+  unsigned loaded = loading ? atomic_load(&node->loading) : 0;
+  return is_inside(loaded) ? loaded : 0;
+}
+
 /* To which node of the page one belongs that this thread creates, as index + 1. */
 static unsigned owner_of(const char *name)
 {
-  unsigned found = named(name), loaded = loading ? atomic_load(&node->loading) : 0;
-  return found ? found : loaded && is_inside(loaded) ? loaded : own_number();
+  unsigned found = named(name), loaded = being_loaded();
+  return found ? found : loaded ? loaded : own_number();
 }
 
 /* List a node that the process has created: the manager asks for all that end with it. */

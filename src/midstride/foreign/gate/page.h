@@ -41,8 +41,8 @@ enum { CLOSED = 0, OPEN = 1 };  /* of a port: gate */
  * KEPT_OUT: one would have; TAKES_PART: one does. */
 enum { KEEP_OUT = 1, KEPT_OUT = 2, TAKES_PART = 4 };
 /* Of a node. LISTS: the library adds a port for each topic, open. NAMES_ONE: a `__node:=` that is for all nodes of the
- * process names the first of them alone. */
-enum { IN_USE = 1, LISTS = 2, NAMES_ONE = 4 };
+ * process names the first of them alone. LEAVES: it is about to be unloaded from a process that goes on. */
+enum { IN_USE = 1, LISTS = 2, NAMES_ONE = 4, LEAVES = 8 };
 
 struct port {
   _Atomic uint32_t kind;

@@ -6,6 +6,7 @@
 #ifndef MIDSTRIDE_RCL_H
 #define MIDSTRIDE_RCL_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -17,6 +18,8 @@ struct goal_info; /* in page.h */
 #define TAKE_FAILED 401
 /* RCL_RET_SERVICE_TAKE_FAILED: there was no request. */
 #define NO_REQUEST 601
+/* RCL_RET_TIMER_CANCELED: it is not called. */
+#define TIMER_CANCELED 801
 /* RCL_RET_TIMEOUT */
 #define TIMED_OUT 2
 
@@ -158,6 +161,11 @@ REAL(int, rcl_action_goal_handle_get_info, const void *, struct goal_info *)
 REAL(int, rcl_action_expire_goals, const void *, struct goal_info *, size_t, size_t *)
 REAL(int, rcl_take_response, const void *, struct request_id *, void *)
 REAL(int, rcl_take_response_with_info, const void *, struct request_info *, void *)
+REAL(int, rcl_timer_init, void *, void *, void *, int64_t, void *, allocator)
+REAL(int, rcl_timer_init2, void *, void *, void *, int64_t, void *, allocator, bool)
+REAL(int, rcl_timer_fini, void *)
+REAL(int, rcl_timer_cancel, void *)
+REAL(int, rcl_timer_reset, void *)
 REAL(int, rcl_timer_call, void *)
 REAL(int, rcl_timer_call_with_info, void *, void *)
 REAL(int, rcl_wait, struct wait_set *, int64_t)

@@ -83,6 +83,7 @@ static int take_request(const void *service, struct request_info *info, void *re
   struct entry *entry = taking ? NULL : find_server(service);
   struct requests *requests = entry ? requests_of(entry->me) : NULL;
   end_input();
+  begin_call(entry ? entry->me : 0);
   if (requests && take_held(entry, requests, info, request))
     return 0;
   bool nested = taking;

@@ -29,6 +29,8 @@ static int take_result(const void *subscription, int result, const struct messag
   bool open = atomic_load_explicit(&entry->port->gate, memory_order_acquire) == OPEN;
   if (open && atomic_load_explicit(&entry->port->flags, memory_order_acquire) & SHUT)
     open = now_ns() >= atomic_load(&page->head.lease);
+  begin_call(entry->me);
+  open = open && !has_to_leave(entry->me);
   if (info) /* before it is counted: fewer that are noted show that some are not */
     note_receipt(entry, info);
   count_call(entry->port, open);

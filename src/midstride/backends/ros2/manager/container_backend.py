@@ -329,6 +329,7 @@ class ContainerBackend(ProcessBackend):
                 if instance in shared.unanswered:  # it ends with its container
                     self._processes.pop(instance, None)
                     return
+                await self._foreign_nodes.leaves(record)
                 unloading = asyncio.ensure_future(services.unload(node, longest))
                 over = asyncio.ensure_future(shared.process.wait())
                 try:
@@ -341,6 +342,7 @@ class ContainerBackend(ProcessBackend):
         except BackendError as error:
             if shared.process.running:
                 shared.members.add(instance)
+                await self._foreign_nodes.leaves(record, now=False)
                 raise BackendError(
                     f"{instance} goes on in {shared.name}: {error}. It can only end with its container, by "
                     f"`midstride restart {shared.name}`, or when that is killed (process {shared.process.pid})"

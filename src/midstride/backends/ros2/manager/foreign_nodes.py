@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Iterable, Iterator, 
 from contextlib import suppress
 from dataclasses import replace as replaced
 from pathlib import Path
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 from msgspec.structs import replace
 
@@ -62,6 +62,9 @@ ServedBy: TypeAlias = Callable[[str, frozenset[str] | None], Served]
 Addressed: TypeAlias = Callable[[str, Page, int, bool], NodeServices]
 # Has the node of a record loaded within a time (s).
 Load: TypeAlias = Callable[[ForeignRecord, LoadRequest, float], Awaitable[None]]
+
+# How long the calls of a node may last that have begun when it is to be unloaded (s).
+_LAST_CALLS: Final = 0.1
 
 log = logging.getLogger(__name__)
 
@@ -457,6 +460,17 @@ class ForeignNodes:
                 return lambda: page.is_loading(index)
         over = time.monotonic() + endpoints_seconds(record.declaration.declared())
         return lambda: time.monotonic() < over
+
+    async def leaves(self, record: ForeignRecord | None, now: bool = True) -> None:
+        """Have nothing call a node that is to be unloaded, and wait for calls that have begun; not ``now``: it stays.
+
+        An executor with several threads would destroy it during a call, with which the process ends.
+        """
+        if record is None or record.index is None or self._page is None:
+            return
+        self._page.leaves(record.index, now)
+        if now:
+            await asyncio.sleep(_LAST_CALLS)
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""
