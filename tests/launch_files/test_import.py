@@ -528,6 +528,17 @@ def test_a_node_of_a_launch_file_in_python_is_named_as_one_in_xml(
     assert [finding.message for finding in found.findings] == [finding.message for finding in in_xml.findings]
 
 
+def test_a_command_for_a_shell_in_python_is_called_by_its_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["/opt/map_tool --ros-args -r out:=/c"]
+    described = found_in_python(tmp_path / "a.launch.py", {"type": None, "words": words, "shell": True})
+    monkeypatch.setattr(interpreter, "carried_out", lambda *_: described)
+    (tmp_path / "a.launch.py").write_text("")
+    found = import_launch_file(tmp_path / "a.launch.py", {}, {}, None, run_python=True)
+    assert commands(found, tmp_path) == {"map_tool": f"sh -c '{words[0]}'"}
+
+
 def test_what_names_its_own_folder_after_a_file_in_python_differs_in_launch_and_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

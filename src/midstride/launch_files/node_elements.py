@@ -95,7 +95,8 @@ class NodeElements(NodeAttributes):
         package, command = self._in_package(command, context)
         script = (number for number, word in enumerate(command) if number and not word.startswith("-"))
         last = next(script, 0) if "python" in command[0] else 0
-        program = _stem(command[last])
+        # One word with blanks is for a shell.
+        program = _stem(command[last] if len(command) > 1 else command[last].split(maxsplit=1)[0])
         name = self._name(ros.name or label or program, program, span)
         what = shlex.join(command[: last + 1])
         known = f"the node `{name}`" if ros.name else f"the node of `{name}`, which names itself"
