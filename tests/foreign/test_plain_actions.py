@@ -54,8 +54,14 @@ def count(goal):
     result.sequence.append(int(sys.argv[1]))
     return result
 
-ActionServer(node, Fibonacci, "/count", count, cancel_callback=lambda goal: CancelResponse.ACCEPT,
-             callback_group=ReentrantCallbackGroup())
+server = ActionServer(node, Fibonacci, "/count", count, cancel_callback=lambda goal: CancelResponse.ACCEPT,
+                      callback_group=ReentrantCallbackGroup())
+
+def leave():
+    if (Path(__file__).parent / "left").exists() and server in node.waitables:
+        server.destroy()
+
+node.create_timer(0.1, leave)
 try:
     rclpy.spin(node, MultiThreadedExecutor(8))
 except (KeyboardInterrupt, ExternalShutdownException):
@@ -77,6 +83,7 @@ class Actions:
 
         self.page = Page(folder / "page", library)
         self.bare = bare
+        self.folder = folder
         self._library, self._program = library, folder / "server.py"
         self._program.write_text(SERVER)
         self.processes: dict[int, subprocess.Popen[bytes]] = {}
@@ -323,6 +330,15 @@ def test_goals_that_the_page_has_no_room_for_stay_with_their_server(actions: Act
         # A goal that no server has: the client is told so, by one of them.
         unknown = type(last)(actions.client, type(last.goal_id)(uuid=[7] * 16), None)
         assert (await actions.result(actions.client._get_result_async(unknown))).status == GoalStatus.STATUS_UNKNOWN
+
+        # A server that leaves while its process goes on, as that of a node which is unloaded, has none any more.
+        for place in places:
+            place.word = GoalState.ACCEPTED << 12 | NODES
+        new = page.layout.nodes[actions.indices[NEW]]
+        await actions.accepted(ENDLESS)
+        await actions.bare.until(lambda: (new.beyond, new.apart) == (1, 1))
+        (actions.folder / "left").touch()
+        await actions.bare.until(lambda: (new.beyond, new.apart) == (0, 0))
 
     run(scenario())
 

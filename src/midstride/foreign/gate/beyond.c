@@ -48,6 +48,17 @@ void accept_beyond(const struct entry *entry, const struct subject *subject)
   pthread_mutex_unlock(&beyond_lock);
 }
 
+void drop_beyond(unsigned me, uint32_t port)
+{
+  pthread_mutex_lock(&beyond_lock);
+  for (struct beyond **place = &first; *place;)
+    if ((*place)->me == me && (*place)->port == port)
+      forget(place);
+    else
+      place = &(*place)->next;
+  pthread_mutex_unlock(&beyond_lock);
+}
+
 unsigned step_beyond(const uint8_t *goal, enum goal_event event)
 {
   pthread_mutex_lock(&beyond_lock);

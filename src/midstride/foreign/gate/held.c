@@ -44,6 +44,8 @@ void hold_claimed(struct entry *entry, struct held *held)
 
 void drop_requests(struct entry *entry)
 {
+  if (entry->service == SEND_GOAL)
+    drop_beyond(entry->me, (uint32_t)(entry->port - page->ports) + 1);
   while (entry->held)
     free_held(unlink_held(entry, &entry->held));
   while (entry->taken) {

@@ -86,6 +86,8 @@ void count_goal(unsigned me, unsigned what);
 
 /* Such a goal is accepted. */
 void accept_beyond(const struct entry *entry, const struct subject *subject);
+/* The server of `port` (index + 1) of the node `me` (index + 1), which has accepted such goals, is there no longer. */
+void drop_beyond(unsigned me, uint32_t port);
 /* END, FETCH or EXPIRE of a goal; index + 1 of its node where it is such a one, else 0. */
 unsigned step_beyond(const uint8_t *goal, enum goal_event event);
 /* Whether the node `me` (index + 1) has accepted the goal, and there was no room for it. */
