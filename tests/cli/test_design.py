@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from tests.plan.test_impact import SHARED
+
 SEEDS = Path(__file__).parents[1] / "lang" / "seeds"
 
 
@@ -26,6 +28,15 @@ def changed(patrol: Path, old: str, new: str, name: str = "new.stride") -> Path:
     path = patrol.parent / name
     path.write_text(text.replace(old, new), encoding="utf-8")
     return path
+
+
+def test_the_impact_of_a_container_is_that_of_its_nodes(run: Any, tmp_path: Path) -> None:
+    file = tmp_path / "shared.stride"
+    file.write_text(SHARED, encoding="utf-8")
+    status, out, err = run("impact", file)
+    assert (status, err) == (0, "")
+    assert "single point of failure: box (component_container): loss 2\n  a crash ends a and b\n  hears_a.hear" in out
+    assert "single point of failure: a (Talker): loss 1\n  if it crashes, b ends as well: see box\n" in out
 
 
 # -- check -------------------------------------------------------------------------------------------------------

@@ -90,12 +90,6 @@ def test_its_class_and_its_container_are_looked_up_by_check(tmp_path: Path, monk
         ('component "demo::T" package "demo" gate preload unnamed', "E027", "yet it is `unnamed`", "states its name"),
         ('component "demo::T" package "demo" gate none renames t', "E027", "it `renames t`", "that is loaded"),
         ('component "demo::T" package "demo" once', "E027", "it is `once`", "does not end"),
-        (
-            'component "demo::T -e use_intra_process_comms:=true" package "demo" gate preload',
-            "E027",
-            "goes past the gate",
-            "then pass the gate",
-        ),
         ('component "-r a:=b" package "demo" gate none', "E009", "does not begin with a class", None),
         ('component "demo::T -p a:=1" package "demo" gate none', "E009", "state it in `parameters { … }`", None),
         ('component "demo::T -n talker" package "demo" gate none', "E009", "is named after its role", None),

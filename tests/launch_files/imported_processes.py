@@ -66,6 +66,8 @@ def _container(system: Specification, name: str) -> dict[str, Any]:
         "arguments": words[1:],
         "name": own_name,
     }
+    found |= {"prefix": shlex.split(program.prefix)} if program.prefix else {}
+    found |= {"environment": dict(program.environment)} if program.environment else {}
     return found | ({"namespace": f"/{namespace}"} if namespace else {})
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from midstride.launch_files.launch_import import Imported, import_launch_file
 from midstride.launch_files.launched_containers import Containers
-from midstride.model.component import DEFAULT_CONTAINER, ComponentSpec, ContainerProgram
+from midstride.model.component import DEFAULT_CONTAINER, ComponentSpec, ContainerProgram, StopTimes
 from tests.launch_files.support import specification
 
 PARAMETERS = """camera:
@@ -94,29 +94,31 @@ def test_they_share_their_containers_as_in_the_launch_file(tmp_path: Path) -> No
     }
     nodes = components(found, tmp_path)
     assert {nodes[role].container for role, node in system.nodes.items() if node.container} == {DEFAULT_CONTAINER}
-    assert nodes["front/rectify"].run == "cameras::Rectify -e enable_rosout:=false"
+    assert dict(system.containers["front/pipeline"].environment) == {"RMW": "x"}
+    assert nodes["front/rectify"].run == "cameras::Rectify -e use_intra_process_comms:=true -e enable_rosout:=false"
     assert system.nodes["front/camera"].respawn is not None
     assert [each.message for each in found.findings if each.kind in ("composable", "unsupported")] == [
-        "`front/camera`, `front/rectify` had intra-process communication: what they exchange is serialized now, and "
-        "passes through the middleware",
-        "the environment of the container `front/pipeline` is left out",
+        "`front/camera`, `front/rectify` have intra-process communication: what they publish on a port with a gate is "
+        "serialized all the same, and passes through the middleware",
         "the container `elsewhere/box` is started elsewhere; here it is `component_container`, with what is named for "
         "it alone",
     ]
 
 
-def test_they_have_the_times_to_end_of_their_container(tmp_path: Path) -> None:
+def test_their_container_has_its_prefix_and_its_times_to_end(tmp_path: Path) -> None:
     body = """
 <node_container pkg="rclcpp_components" exec="component_container" name="box" namespace="" sigterm_timeout="7"
                 launch-prefix="nice">
   <composable_node pkg="cameras" plugin="cameras::Camera" name="camera"/>
 </node_container>"""
     found = imported(tmp_path, body, "keep")
-    (said,) = (each.message for each in found.findings if each.kind == "unsupported")
-    assert said == "the prefix of the container `box` is left out"
+    system = specification(found, tmp_path)
     (tmp_path / "apart").mkdir()
     apart = components(imported(tmp_path / "apart", body, "split"), tmp_path / "apart")["camera"]
-    assert components(found, tmp_path)["camera"].stop == apart.stop != ComponentSpec.of("Camera").stop
+    shared = system.containers["box"]
+    assert (shared.stop, shared.prefix) == (apart.stop, apart.prefix) == (StopTimes(sigterm=7.0), "nice")
+    assert system.instance("camera").started.stop == apart.stop
+    assert [each.message for each in found.findings if each.kind == "unsupported"] == []
 
 
 def test_two_containers_never_get_one_name(tmp_path: Path) -> None:

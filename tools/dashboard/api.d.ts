@@ -153,6 +153,8 @@ declare namespace Api {
     declared_parameters?: boolean;
     /** also where other nodes end with a process that the change ends: else it is refused */
     with_other_nodes?: boolean;
+    /** a replaced node of a container starts in the process that it is in, with the same code */
+    same_process?: boolean;
     /** for a plan that is only shown: what it would cost to keep what it degrades */
     explain?: boolean;
   }
@@ -1320,9 +1322,29 @@ declare namespace Api {
     run?: string;
     /** its package */
     package?: string;
+    /** the words before its program */
+    prefix?: string;
+    /** variables of its process; null: not inherited */
+    environment?: Record<string, string | null>;
+    takes_seconds?: number;
+    stop_seconds?: StopForm;
     name: string;
     /** parameters of further nodes in its process, as files order them */
     sections?: SectionForm[];
+  }
+
+  /** The program of a container that several nodes share, with how its process is started and ended. */
+  interface SharedProgramForm {
+    /** an executable of its package */
+    run?: string;
+    /** its package */
+    package?: string;
+    /** the words before its program */
+    prefix?: string;
+    /** variables of its process; null: not inherited */
+    environment?: Record<string, string | null>;
+    takes_seconds?: number;
+    stop_seconds?: StopForm;
   }
 
   /** A component that does not answer, or a port that has been silent for so long (null: unknown). */
@@ -1359,7 +1381,7 @@ declare namespace Api {
     /** types of nodes */
     components?: Record<string, ComponentForm>;
     /** what composable nodes share, by name, namespaces in front */
-    containers?: Record<string, ContainerForm>;
+    containers?: Record<string, SharedProgramForm>;
     /** the nodes, by name, namespaces in front */
     nodes?: Record<string, NodeForm>;
     constraints?: ConstraintForm[];

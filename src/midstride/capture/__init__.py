@@ -2,5 +2,6 @@
 
 PUBLIC = (
     "Count Dependences MAX_TIMES MOST_ROUNDS ObservedEndpoint ObservedGraph ProbedGates ProbedPort ROUNDS draft "
-    "drafted_nodes drafted_services duration insert nodes_without_ports note_managers probe probed_inputs words_on"
+    "drafted_nodes drafted_services duration insert nodes_without_ports not_stated note_managers "
+    "observed_processes probe probed_inputs words_on"
 )

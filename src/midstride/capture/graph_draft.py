@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
+from midstride.capture.observed_processes import container_lines
 from midstride.capture.probe import Dependences
 from midstride.capture.proposal import component_text, free_name, node_block, ports_of, topic_lines
 from midstride.capture.reliance import by_kind, comments, relied_on
@@ -44,6 +45,7 @@ def draft(
         f"system {name}",
         "",
         *topic_lines(graph, topics, found_ports if rates else ()),
+        *container_lines(graph),
         "",
     ]
     nodes: dict[str, list[str]] = {}

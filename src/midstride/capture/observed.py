@@ -52,7 +52,9 @@ class ObservedGraph:
     ``lazy``: the nodes and topics of publishers that have gone when nothing subscribed to them any more.
     ``subscribed``: the topics that were subscribed to; ``counted``: by node and topic, when outputs were written (s, of
     one clock) whose messages the library in their process counts.
-    ``lifecycle``: the lifecycle nodes, and ``managers``: by node that changes the lifecycle state of others, these.
+    ``processes``: by node, its process, as far as the middleware tells; ``containers``: the nodes of component
+    containers. ``lifecycle``: the lifecycle nodes; ``managers``: by node that changes the lifecycle state of others,
+    these.
     """
 
     seconds: float = 0.0
@@ -64,6 +66,8 @@ class ObservedGraph:
     counted: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     lifecycle: set[str] = field(default_factory=set)
     managers: dict[str, set[str]] = field(default_factory=dict)
+    processes: dict[str, str] = field(default_factory=dict)
+    containers: set[str] = field(default_factory=set)
     # By node and service or ROS action, how long each response took (s), where the library in its process shows that.
     took: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     _times: dict[tuple[str, str], list[float]] = field(default_factory=dict)
@@ -119,6 +123,8 @@ class ObservedGraph:
             counted={(name_of(node), topic): times for (node, topic), times in self.counted.items()},
             lazy={(name_of(node), topic) for node, topic in self.lazy},
             lifecycle={*map(name_of, self.lifecycle)},
+            processes={name_of(node): process for node, process in self.processes.items()},
+            containers={*map(name_of, self.containers)},
             managers={name_of(node): {*map(name_of, managed)} for node, managed in self.managers.items()},
             took={(name_of(node), name): took for (node, name), took in self.took.items()},
         )

@@ -58,6 +58,14 @@ def with_other_nodes_option(function: Any) -> Any:
     return click.option("--with-other-nodes", is_flag=True, help=summary)(function)
 
 
+def same_process_option(function: Any) -> Any:
+    summary = (
+        "A replaced node of a container starts in the process that it is in: with the code that is loaded there, and "
+        "ending with the others if it crashes. Without this option it has a process for itself, with its code on disk."
+    )
+    return click.option("--same-process", is_flag=True, help=summary)(function)
+
+
 def parse_pair(text: str, form: str) -> tuple[str, str]:
     """``NAME=VALUE``. Raises UsageError, which names the expected form."""
     name, equals, value = text.partition("=")

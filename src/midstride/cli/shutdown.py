@@ -111,7 +111,7 @@ async def _stop(
     await backend.open(lambda _: None)
     killed: list[KilledProcess] = []
     failures: list[str] = []
-    handles = [(entry.handle, entry.instance.component) for entry in instances if entry.handle is not None]
+    handles = [(entry.handle, entry.instance.started) for entry in instances if entry.handle is not None]
     try:
         for handle, component in handles:
             name = handle.instance

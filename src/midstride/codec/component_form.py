@@ -225,6 +225,35 @@ class ContainerForm(Form, frozen=True):
         return ContainerProgram(self.run, self.package)
 
 
+class SharedProgramForm(ContainerForm, frozen=True):
+    """The program of a container that several nodes share, with how its process is started and ended."""
+
+    prefix: Annotated[str, field("a command", "the words before its program", min_length=1)] | UnsetType = UNSET
+    environment: Annotated[
+        dict[str, str | None],
+        field("an object of variables", "variables of its process; null: not inherited"),
+    ] = {}
+    takes_seconds: SecondsOrZero | UnsetType = UNSET
+    stop_seconds: StopForm | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, program: ContainerProgram) -> SharedProgramForm:
+        return cls(
+            program.run,
+            program.package,
+            program.prefix or UNSET,
+            dict(sorted(program.environment.items())),
+            stated(program.startup_seconds),
+            UNSET if program.stop is None else StopForm.of(program.stop),
+        )
+
+    def program(self) -> ContainerProgram:
+        stop = None if self.stop_seconds is UNSET else self.stop_seconds.times()
+        environment = Map(self.environment)
+        takes = given(self.takes_seconds)
+        return ContainerProgram(self.run, self.package, given(self.prefix), environment, takes, stop)
+
+
 class ComponentForm(Form, frozen=True):
     """A component, whose name is the key it is under."""
 

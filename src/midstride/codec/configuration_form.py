@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, TypeAlias
 
+import msgspec
 from msgspec import UNSET, UnsetType
 
-from midstride.codec.component_form import ContainerForm, NamedComponentForm
+from midstride.codec.component_form import NamedComponentForm, SharedProgramForm
 from midstride.codec.form import Form, NonEmptyName, field
 from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.codec.reading import decode_form
@@ -26,7 +27,7 @@ from midstride.model.specification import Specification
 AttachmentForm: TypeAlias = Annotated[tuple[str, str], field("an attachment", "[port, topic]")]
 
 
-class SharedContainerForm(ContainerForm, frozen=True, kw_only=True):
+class SharedContainerForm(SharedProgramForm, frozen=True, kw_only=True):
     """The container of a system that loads an instance."""
 
     what: ClassVar[str] = "a shared container"
@@ -37,8 +38,8 @@ class SharedContainerForm(ContainerForm, frozen=True, kw_only=True):
     @classmethod
     def shared(cls, container: SharedContainer) -> SharedContainerForm:
         sections = [SectionForm.of(section) for section in container.sections]
-        program = container.program
-        return cls(run=program.run, package=program.package, name=container.name, sections=sections)
+        program = SharedProgramForm.of(container.program)
+        return cls(**msgspec.structs.asdict(program), name=container.name, sections=sections)
 
     def container(self) -> SharedContainer:
         return SharedContainer(self.name, self.program(), tuple(form.section() for form in self.sections))

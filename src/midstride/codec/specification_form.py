@@ -29,7 +29,7 @@ import msgspec
 from immutables import Map
 from msgspec import UNSET, Meta, UnsetType
 
-from midstride.codec.component_form import ComponentForm, ContainerForm
+from midstride.codec.component_form import ComponentForm, SharedProgramForm
 from midstride.codec.contract_form import (
     MessageType,
     PredicateForm,
@@ -373,7 +373,7 @@ class SpecificationForm(Form, frozen=True):
     ] = {}
     components: Annotated[dict[str, ComponentForm], by_name("an object of components", "types of nodes")] = {}
     containers: Annotated[
-        dict[str, ContainerForm],
+        dict[str, SharedProgramForm],
         by_name(
             "an object of containers",
             "what composable nodes share, by name, namespaces in front",
@@ -418,7 +418,7 @@ class SpecificationForm(Form, frozen=True):
                 for offer in specification.environment
             },
             components={name: ComponentForm.of(found) for name, found in sorted(specification.components.items())},
-            containers={name: ContainerForm.of(found) for name, found in sorted(specification.containers.items())},
+            containers={name: SharedProgramForm.of(found) for name, found in sorted(specification.containers.items())},
             nodes={role: NodeForm.of(node, specification) for role, node in sorted(specification.nodes.items())},
             constraints=[ConstraintForm.of(constraint) for constraint in specification.constraints],
             timing_seconds=TimingForm(**timing) if timing else UNSET,

@@ -305,10 +305,9 @@ MODEL: Final = (
         (`as`), a mode with parameters, a `lazy` output, or states how it is ended (`stop`); or one that cannot be a
         lifecycle node states how long it may take to `activate`; or a lifecycle manager of the system, such as Nav2's,
         has a node in its `node_names` that has `gate lifecycle`, so that two would manage it; or a composable node
-        (`run component`) has no package, no gate, `gate relay`, `once`, `unnamed`, `renames`, or intra-process
-        communication, which goes past the gate; or a node is `in` a container whose component is none, or states what
-        only a process has. A parameter of a mode is declared in the component, with a value of the
-        same type, and belongs to the modes of one functionality.""",
+        (`run component`) has no package, no gate, `gate relay`, `once`, `unnamed` or `renames`; or a node is `in` a
+        container whose component is none, or states what only a process has. A parameter of a mode is declared in the
+        component, with a value of the same type, and belongs to the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace("component", "container box\ncomponent") + NODE.replace(" {", " in box {"),
@@ -361,11 +360,6 @@ MODEL: Final = (
         + NODE,
         STARTED.replace(
             'run "python3 -m s.talker"', 'run component "demo::Talker" package "demo" gate preload renames talker'
-        )
-        + NODE,
-        STARTED.replace(
-            'run "python3 -m s.talker"',
-            'run component "demo::Talker -e use_intra_process_comms:=true" package "demo" gate preload',
         )
         + NODE,
     ),

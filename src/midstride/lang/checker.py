@@ -13,7 +13,7 @@ from pathlib import Path
 
 from immutables import Map
 
-from midstride.lang.component_builder import UNRESOLVED, ComponentBuilder, container_program
+from midstride.lang.component_builder import UNRESOLVED, ComponentBuilder
 from midstride.lang.contract_builder import ContractResolver
 from midstride.lang.declarations import Declarations, collect, resolve_topic
 from midstride.lang.diagnostic_text import Diagnostic, Note, Reporter, in_order
@@ -107,7 +107,7 @@ class _SpecificationBuilder:
             constraints=tuple(self._constraints()),
             timing=Map({kind: duration.seconds.value for kind, duration in found.timing.items()}),
             requirements=tuple(self._requirements()),
-            containers=Map({name: container_program(each.clause) for name, each in found.containers.items()}),
+            containers=Map(self.components.containers(found.containers)),
         )
 
     def _connectors(self) -> dict[str, Connector]:

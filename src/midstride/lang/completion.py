@@ -33,7 +33,7 @@ _STATEMENTS: Final = {
     "environment": ("guarantee",),
     "timing": TIMING,
     "topic": ("publishers",),
-    "container": ("run",),
+    "container": ("run", "environment"),
     "parameters": ("changeable",),
 }
 

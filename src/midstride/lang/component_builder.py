@@ -6,7 +6,7 @@ Only errors specific to the text form are reported here; :mod:`midstride.model.s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Final, TypeAlias, TypeVar
 
@@ -123,6 +123,14 @@ class ComponentBuilder:
                     unresolved.base = True
             self.merged[name] = merged
 
+    def containers(self, declarations: Mapping[str, syntax.ContainerDeclaration]) -> dict[str, ContainerProgram]:
+        """The containers that several nodes share, by name."""
+        found = {}
+        for name, declared in declarations.items():
+            variables = _variables(self._unique(declared.environment, _name, "variable"))
+            found[name] = _shared_container(declared.run, Map(variables))
+        return found
+
     def _without_duplicates(self, own: syntax.ComponentDeclaration) -> syntax.ComponentDeclaration:
         for run in own.runs[1:]:
             note = Note("first one here", own.runs[0].span)
@@ -204,7 +212,7 @@ class ComponentBuilder:
             run=None if run is None else run.command.text,
             package=None if run is None or run.package is None else run.package.text,
             prefix=None if run is None or run.prefix is None else run.prefix.text,
-            environment={each.name.text: each.value and each.value.text for each in declaration.environment},
+            environment=_variables(declaration.environment),
             startup_seconds=None if run is None or run.startup is None else run.startup.value,
             tolerates={each.name.text: int(each.tolerates.value) for each in declaration.inputs if each.tolerates},
             conditions=[each.name.text for each in declaration.inputs if each.condition],
@@ -346,6 +354,23 @@ def container_program(clause: syntax.ContainerClause) -> ContainerProgram:
         return DEFAULT_CONTAINER
     package = DEFAULT_CONTAINER.package if clause.package is None else clause.package.text
     return ContainerProgram(clause.program.text, package)
+
+
+def _shared_container(run: syntax.Run | None, environment: Map[str, str | None]) -> ContainerProgram:
+    """A container that several nodes share, with the details of its process."""
+    if run is None:
+        return replace(DEFAULT_CONTAINER, environment=environment)
+    return replace(
+        container_program(syntax.ContainerClause(run.command, run.package)),
+        prefix=None if run.prefix is None else run.prefix.text,
+        environment=environment,
+        startup_seconds=None if run.startup is None else run.startup.value,
+        stop=None if run.stop is None else _stop_times(run.stop),
+    )
+
+
+def _variables(stated: Iterable[syntax.EnvironmentVariable]) -> dict[str, str | None]:
+    return {each.name.text: each.value and each.value.text for each in stated}
 
 
 def _stop_times(stop: syntax.StopClause) -> StopTimes:

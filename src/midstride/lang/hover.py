@@ -6,7 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from midstride.lang.index import Symbol
-from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, InputAlternatives
+from midstride.model.component import (
+    ComponentSpec,
+    ContainerProgram,
+    FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
+)
 from midstride.model.configuration import Configuration
 from midstride.model.contract import NOTHING, connector_kind, format_number
 from midstride.model.diagnosis import reasons_against
@@ -57,10 +63,7 @@ class _Hover:
             yield f"loaded by `{container.run}` of package {container.package}"
         if component.once:
             yield "ends when it has done its work"
-        if component.prefix is not None:
-            yield f"after `{component.prefix}`"
-        for name, value in component.environment.items():
-            yield f"without the variable `{name}`" if value is None else f"with `{name}={value}`"
+        yield from _of_process(component)
         for name in component.input_order:
             assumption = component.inputs[name]
             yield f"{KIND_WORDS[assumption.kind].input} `{name} : {assumption}`{_tolerance(component, name)}"
@@ -123,6 +126,7 @@ class _Hover:
         program = self.specification.containers.get(symbol.name)
         if program is not None:
             yield f"`{program.run}` of package {program.package}"
+            yield from _of_process(program)
             yield f"loads {', '.join(f'`{role}`' for role in self.specification.members_of(symbol.name)) or 'no node'}"
 
     def resource(self, symbol: Symbol) -> Iterator[str]:
@@ -152,3 +156,10 @@ def _tolerance(component: ComponentSpec, name: str) -> str:
     missed = component.tolerates.get(name)
     tolerance = "" if missed is None else f", tolerates {missed} missed"
     return f"{tolerance}, a condition" if name in component.conditions else tolerance
+
+
+def _of_process(stated: ComponentSpec | ContainerProgram) -> Iterator[str]:
+    if stated.prefix is not None:
+        yield f"after `{stated.prefix}`"
+    for name, value in stated.environment.items():
+        yield f"without the variable `{name}`" if value is None else f"with `{name}={value}`"

@@ -42,7 +42,7 @@ class ComponentParser(ContractParser):
             "run": lambda start: runs.append(self._run(start)),
             "holds": lambda _: holds.append(self._holds()),
             "parameters": lambda start: unread_parameters.update(self.parameters(start, parameters, files)),
-            "environment": lambda start: unread_parameters.update(self._variables(start, environment)),
+            "environment": lambda start: unread_parameters.update(self.variables(start, environment)),
             "input": lambda _: inputs.append(self._input(topics)),
             "output": lambda _: outputs.append(self._output(topics, lazy)),
             "client": lambda _: inputs.append(self._client("service", topics)),
@@ -81,8 +81,8 @@ class ComponentParser(ContractParser):
         command = self.text(what)
         package = self._package()
         container = self._container() if composable else None
-        prefix = self.text("the words before the program in double quotes") if self.accept_word("prefix") else None
-        startup = self.seconds("a startup time") if self.accept_word("takes") else None
+        prefix = self._prefix()
+        startup = self._startup()
         activate = self.seconds("a time to activate") if self.accept_word("activate") else None
         stop = self._stop() if self.accept_word("stop") else None
         word = self.span()
@@ -94,6 +94,20 @@ class ComponentParser(ContractParser):
         return syntax.Run(
             command, package, container, prefix, startup, activate, stop, gate, once, unnamed, renames, span
         )
+
+    def container_run(self, start: int) -> syntax.Run:
+        """``run "component_container_mt" package "rclcpp_components"``, with the details of its process."""
+        program = self.text("the program of a component container in double quotes after `run`")
+        package, prefix, startup = self._package(), self._prefix(), self._startup()
+        stop = self._stop() if self.accept_word("stop") else None
+        rest = (None, None, None, False, None)
+        return syntax.Run(program, package, None, prefix, startup, rest[0], stop, *rest[1:], self.since(start))
+
+    def _prefix(self) -> syntax.Name | None:
+        return self.text("the words before the program in double quotes") if self.accept_word("prefix") else None
+
+    def _startup(self) -> syntax.Number | None:
+        return self.seconds("a startup time") if self.accept_word("takes") else None
 
     def _package(self) -> syntax.Name | None:
         return self.text("a package in double quotes after `package`") if self.accept_word("package") else None
@@ -126,7 +140,7 @@ class ComponentParser(ContractParser):
         self.reporter.report("E120", gate.span, f"`{gate.text}` is not a kind of gate", help=help)
         return None
 
-    def _variables(self, first: int, variables: list[syntax.EnvironmentVariable]) -> frozenset[str]:
+    def variables(self, first: int, variables: list[syntax.EnvironmentVariable]) -> frozenset[str]:
         """``environment { NAME = "value"  unset NAME }``."""
 
         def entry() -> bool:

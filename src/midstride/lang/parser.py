@@ -14,7 +14,7 @@ from midstride.lang.blocks import Handlers
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.lexer import tokenize
 from midstride.lang.parse_component import ComponentParser
-from midstride.lang.source import Source, Span
+from midstride.lang.source import Source
 from midstride.lang.token_stream import RESPAWN_WORDS, Panic
 from midstride.model.contract import ConnectorKind
 from midstride.model.wording import KIND_WORDS, indefinite
@@ -129,21 +129,20 @@ class Parser(ComponentParser):
 
     def _container_declaration(self, first: int) -> syntax.ContainerDeclaration:
         name = self.topic("a container name")
-        found: list[tuple[Span, syntax.ContainerClause]] = []
+        found: list[syntax.Run] = []
+        environment: list[syntax.EnvironmentVariable] = []
 
         def run(start: int) -> None:
-            program = self.text("the program of a component container in double quotes after `run`")
-            clause = syntax.ContainerClause(program, self._package())
             if found:
                 self.reporter.report(
                     "E128", self.span(start), "duplicate `run` of a container", help="keep one of them"
                 )
-            found.append((self.span(start), clause))
+            found.append(self.container_run(start))
 
         if self.kinds[self.i] == "{":
-            self.block(f"container `{name.text}`", first, {"run": run})
-        span, clause = found[0] if found else (None, syntax.ContainerClause(None, None))
-        return syntax.ContainerDeclaration(name, span, clause)
+            handlers: Handlers = {"run": run, "environment": lambda start: self.variables(start, environment)}
+            self.block(f"container `{name.text}`", first, handlers)
+        return syntax.ContainerDeclaration(name, found[0] if found else None, tuple(environment))
 
     def _environment(self, first: int, items: list[syntax.Item]) -> None:
         def offer(_: int) -> None:

@@ -78,13 +78,11 @@ class SourceMap:
 
 
 def _shared_container(declaration: syntax.ContainerDeclaration, rest: Subject) -> Span:
-    clause = declaration.clause
     match rest:
-        case ["run", *_] if clause.program is not None:
-            return clause.program.span
-        case ["package", *_] if clause.package is not None:
-            return clause.package.span
-    return declaration.name.span
+        case ["environment", name] if (variable := find(declaration.environment, name)) is not None:
+            return variable.name.span
+    run = declaration.run
+    return (None if run is None else _of_run(run, rest)) or declaration.name.span
 
 
 def _constraint(statement: syntax.ConstraintStatement, rest: Subject, of_node: bool) -> Span:
@@ -114,49 +112,48 @@ def _requirement(statement: syntax.ChangesStatement, rest: Subject) -> Span:
     return statement.span
 
 
+def _of_run(run: syntax.Run, rest: Subject) -> Span | None:
+    """The place of a clause of a `run` statement; None where it is not stated."""
+    stop, container = run.stop, run.container
+    match rest:
+        case ["run", *_]:
+            return run.command.span
+        case ["package", *_] if run.package is not None:
+            return run.package.span
+        case ["container", "run"] if container is not None and container.program is not None:
+            return container.program.span
+        case ["container", "package"] if container is not None and container.package is not None:
+            return container.package.span
+        case ["container", *_] | ["unnamed"]:
+            return run.span
+        case ["prefix", *_] if run.prefix is not None:
+            return run.prefix.span
+        case ["takes_seconds"] if run.startup is not None:
+            return run.startup.span
+        case ["activate_seconds"] if run.activate is not None:
+            return run.activate.span
+        case ["stop_seconds", name] if stop is not None and (time := getattr(stop, name, None)) is not None:
+            return time.span  # type: ignore[no-any-return]
+        case ["stop_seconds"] if stop is not None:
+            return stop.span
+        case ["renames"] if run.renames is not None:
+            return run.renames.span
+        case ["gate"] if run.gate is not None:
+            return run.gate.span
+        case ["once", *_] if run.once is not None:
+            return run.once
+    return None
+
+
 def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
     run = declaration.runs[0] if declaration.runs else None
+    if run is not None and (span := _of_run(run, rest)) is not None:
+        return span
     match rest:
-        case ["run"] if run is not None:
-            return run.command.span
-        case ["package"] if run is not None and run.package is not None:
-            return run.package.span
-        case ["container", "run"] if (
-            run is not None and run.container is not None and run.container.program is not None
-        ):
-            return run.container.program.span
-        case ["container", "package"] if run is not None and run.container and run.container.package is not None:
-            return run.container.package.span
-        case ["container", *_] if run is not None:
-            return run.span
-        case ["prefix"] if run is not None and run.prefix is not None:
-            return run.prefix.span
         case ["environment", name] if (variable := find(declaration.environment, name)) is not None:
             return variable.name.span
-        case ["takes_seconds"] if run is not None and run.startup is not None:
-            return run.startup.span
-        case ["activate_seconds"] if run is not None and run.activate is not None:
-            return run.activate.span
-        case ["stop_seconds", "sigterm"] if run is not None and run.stop is not None and run.stop.sigterm is not None:
-            return run.stop.sigterm.span
-        case ["stop_seconds", "sigkill"] if run is not None and run.stop is not None and run.stop.sigkill is not None:
-            return run.stop.sigkill.span
-        case ["stop_seconds", "drain"] if run is not None and run.stop is not None and run.stop.drain is not None:
-            return run.stop.drain.span
-        case ["stop_seconds", "patience"] if run is not None and run.stop is not None and run.stop.patience is not None:
-            return run.stop.patience.span
-        case ["stop_seconds"] if run is not None and run.stop is not None:
-            return run.stop.span
         case ["lazy", name] if output := next((each for each in declaration.lazy if each.text == name), None):
             return output.span
-        case ["unnamed"] if run is not None:
-            return run.span
-        case ["renames"] if run is not None and run.renames is not None:
-            return run.renames.span
-        case ["gate"] if run is not None and run.gate is not None:
-            return run.gate.span
-        case ["once", *_] if run is not None and run.once is not None:
-            return run.once
         case ["topics", name] if (own := find(declaration.topics, name)) is not None:
             return own.topic.span
         case ["holds", name, *_]:

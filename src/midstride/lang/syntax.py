@@ -267,11 +267,14 @@ class ResourceDeclaration(NamedTuple):
 
 
 class ContainerDeclaration(NamedTuple):
-    """``container NAME { run "PROGRAM" package "PACKAGE" }``; what is in the braces may be left out."""
+    """``container NAME { run "PROGRAM" package "PACKAGE" environment { … } }``; what is in the braces may be left out.
+
+    ``run``: the program, with its ``prefix``, ``startup`` and ``stop``, as for a component.
+    """
 
     name: Name
-    run: Span | None
-    clause: ContainerClause
+    run: Run | None
+    environment: tuple[EnvironmentVariable, ...] = ()
 
 
 class EnvironmentOffer(NamedTuple):

@@ -22,7 +22,7 @@ RESPAWN_WORDS: Final = ("respawn", "respawn_delay", "respawn_max_retries", "resp
 # The keywords that start statements, with the blocks they belong to. They cannot be declared names: lists need no
 # comma, so the next statement must be distinguishable from the next name.
 KEYWORD_PLACES: Final[Mapping[str, str]] = {
-    "environment": "at the top level, in a namespace or in a component",
+    "environment": "at the top level, in a namespace, in a component or in a container",
     **dict.fromkeys("system include contract topic service".split(), "at the top level or in a namespace"),
     **dict.fromkeys("resource component node namespace".split(), "at the top level or in a namespace"),
     **dict.fromkeys("keep limit order timing changes".split(), "at the top level or in a namespace"),

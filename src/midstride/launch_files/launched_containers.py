@@ -10,7 +10,7 @@ from typing import Final, Literal, TypeAlias, get_args
 from midstride.lang.source import Span
 from midstride.launch_files.context import ParametersGiven
 from midstride.launch_files.findings import ImportFindings
-from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem, LoadedNode
+from midstride.launch_files.launched_nodes import LaunchedContainer, LaunchedNode, LaunchedSystem, LoadedNode
 from midstride.model.component import DEFAULT_CONTAINER, ContainerProgram
 
 # What becomes of the composable nodes that share a process: they do, or each gets its own, or they are left out.
@@ -37,34 +37,25 @@ def keep_containers(system: LaunchedSystem, findings: ImportFindings) -> None:
         roles = {node.role for node in (*system.nodes, *(each.node for each in system.loaded))}
         while name in roles or name in system.containers:
             name = f"{name}_container"
-        system.containers[name] = _program(container, f"the container `{name}`", span, findings)
+        program = _program(container, f"the container `{name}`", span, findings)
+        system.containers[name] = LaunchedContainer(program, container)
         system.nodes += [_shared(each, container, name) for each in loaded]
         for message in _kept_in_words(name, container, loaded):
             findings.add("composable", message, span, left_out=False)
-        if container is not None and (words := _started_otherwise(container)):
-            verb = "is" if len(words) == 1 else "are"
-            findings.add("unsupported", f"{' and '.join(words)} of the container `{name}` {verb} left out", span)
 
 
 def _shared(loaded: LoadedNode, container: LaunchedNode | None, name: str) -> LaunchedNode:
     """The node in the container ``name``, which is started as ``container`` is."""
-    node = replace(loaded.node, extra=_serialized(loaded.node), shares=name)
+    node = replace(loaded.node, shares=name)
     if container is None:
         return node
     return replace(
         node,
         settings=(*_of_further_nodes(node, container), *node.settings),
         respawn=container.respawn,
-        stop=container.stop,
         later=node.later or container.later,
         at=max(node.at, container.at),
     )
-
-
-def _started_otherwise(container: LaunchedNode) -> list[str]:
-    """The details of the process of a container that the language cannot state, in words."""
-    found = {"the environment": container.environment, "the prefix": container.prefix}
-    return [words for words, stated in found.items() if stated]
 
 
 def _serialized(node: LaunchedNode) -> tuple[str, ...]:
@@ -126,6 +117,11 @@ def _in_words(target: str, container: LaunchedNode | None, loaded: Sequence[Load
         where += ", which is started elsewhere,"
     alone = "a process of its own" if len(loaded) == 1 else "a process each"
     yield f"{names} of {where} get{'s' if len(loaded) == 1 else ''} {alone}, and the container is left out"
+    if shared := _of_one_process(loaded):
+        yield (
+            f"{shared} had intra-process communication: what they exchange is serialized now, and passes through the "
+            "middleware"
+        )
     yield from _lost(where, container, loaded)
 
 
@@ -133,17 +129,16 @@ def _kept_in_words(name: str, container: LaunchedNode | None, loaded: Sequence[L
     where = f"the container `{name}`"
     if container is None:
         yield f"{where} is started elsewhere; here it is `{DEFAULT_CONTAINER.run}`, with what is named for it alone"
+    if shared := _of_one_process(loaded):
+        yield (
+            f"{shared} have intra-process communication: what they publish on a port with a gate is serialized all the "
+            "same, and passes through the middleware"
+        )
     yield from _lost(where, container, loaded)
 
 
 def _lost(where: str, container: LaunchedNode | None, loaded: Sequence[LoadedNode]) -> Iterator[str]:
     """Yield what the nodes had in the launch file, and have not here."""
-    shared = [f"`{each.node.role}`" for each in loaded if any(_is_intra_process(extra) for extra in each.node.extra)]
-    if len(shared) > 1:
-        yield (
-            f"{', '.join(shared)} had intra-process communication: what they exchange is serialized now, and passes "
-            "through the middleware"
-        )
     if container is not None:
         own = {given.path for each in loaded for given in each.node.settings}
         files = [given.path for given in container.settings if given.path is not None and given.path not in own]
@@ -153,6 +148,12 @@ def _lost(where: str, container: LaunchedNode | None, loaded: Sequence[LoadedNod
                 f"{what} of {where} are left out: nodes that a component makes would read them; name them in "
                 "`parameters` of the component that needs them"
             )
+
+
+def _of_one_process(loaded: Sequence[LoadedNode]) -> str:
+    """The nodes with intra-process communication, in words; empty where it is not several."""
+    shared = [f"`{each.node.role}`" for each in loaded if any(_is_intra_process(extra) for extra in each.node.extra)]
+    return ", ".join(shared) if len(shared) > 1 else ""
 
 
 def _is_intra_process(extra: str) -> bool:

@@ -77,15 +77,23 @@ class LoadedNode:
     target: str
 
 
+@dataclass(frozen=True, slots=True)
+class LaunchedContainer:
+    """A container that several nodes share: its program, and its process where the launch file starts it."""
+
+    program: ContainerProgram
+    process: LaunchedNode | None = None
+
+
 @dataclass(slots=True)
 class LaunchedSystem:
     """The system that a launch file starts: processes, and the nodes that are ``loaded`` into containers.
 
     ``files``: how many launch files were read. A loaded node that is taken over is among the ``nodes``. ``containers``:
-    the programs of those that several nodes share, by name.
+    those that several nodes share, by name.
     """
 
     nodes: list[LaunchedNode] = field(default_factory=list)
     loaded: list[LoadedNode] = field(default_factory=list)
     files: int = 0
-    containers: dict[str, ContainerProgram] = field(default_factory=dict)
+    containers: dict[str, LaunchedContainer] = field(default_factory=dict)

@@ -18,7 +18,7 @@ from midstride.lang.token_stream import RESERVED
 from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_managers import with_one_manager
-from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedSystem
+from midstride.launch_files.launched_nodes import LaunchedContainer, LaunchedNode, LaunchedSystem
 from midstride.launch_files.launched_parameters import (
     FOR_ALL,
     LaunchedParameters,
@@ -83,8 +83,8 @@ class SpecificationDraft:
             if component not in written:
                 written.add(component)
                 lines += [f"# {on_one_line(_place(node))}", f"component {component} {{", *bodies[node.role], "}", ""]
-        for name, program in sorted(self._launched.containers.items()):
-            lines.append(f"container /{name} {{ run {quoted(program.run)} package {quoted(program.package)} }}")
+        for name, container in sorted(self._launched.containers.items()):
+            lines += self._container(name, container)
         for namespace in dict.fromkeys(node.namespace for node in sorted(nodes, key=lambda node: node.namespace != "")):
             if namespace:
                 word = "/" if namespace in RESERVED else ""  # as a path, it is a name
@@ -105,6 +105,26 @@ class SpecificationDraft:
         formatted = format_text("\n".join(lines))
         assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
         return formatted.text
+
+    def _container(self, name: str, container: LaunchedContainer) -> Iterator[str]:
+        """The statement of a container that several nodes share, with how its process is started and ended."""
+        program, process = container.program, container.process
+        run = f"run {quoted(program.run)} package {quoted(program.package)}"
+        environment: list[str] = []
+        if process is not None:
+            run += self._of_process(process)
+            environment = list(self._environment(process))
+        if environment:
+            yield from (f"container /{name} {{", run, *environment, "}")
+        else:
+            yield f"container /{name} {{ {run} }}"
+
+    def _of_process(self, node: LaunchedNode) -> str:
+        """The clauses of `run` for what stands before a program, and for how its process is ended."""
+        prefix = f" prefix {words}" if (words := quoted(shlex.join(node.prefix))) and node.prefix else ""
+        if words is None:
+            self._findings.add("unsupported", f"the prefix of `{node.role}` cannot be written", node.span)
+        return f"{prefix} stop {' '.join(node.stop)}" if node.stop else prefix
 
     def _heading(self, imported_from: str) -> Iterator[str]:
         """The first comment of the file, with what it needs."""
@@ -137,16 +157,13 @@ class SpecificationDraft:
                 of_package += f" in {quoted(container.run)}"
             if container.package != DEFAULT_CONTAINER.package:
                 of_package += f" package {quoted(container.package)}"
-        after = f" prefix {prefix}" if (prefix := quoted(shlex.join(node.prefix))) and node.prefix else ""
-        if prefix is None:
-            self._findings.add("unsupported", f"the prefix of `{node.role}` cannot be written", node.span)
-        stop = f" stop {' '.join(node.stop)}" if node.stop else ""
+        process = self._of_process(node)
         gate = f"gate {node.gate} unnamed" if node.unnamed else f"gate {node.gate}"
         if ends(node):
             gate = "once unnamed" if node.unnamed else "once"
             message = f"`{node.program}` is known to end when it has done its work, so `{node.role}` is `once`"
             self._findings.add("once", message, node.span, left_out=False)
-        lines = [f"run {composable}{command or quoted('false')}{of_package}{after}{stop} {gate}"]
+        lines = [f"run {composable}{command or quoted('false')}{of_package}{process} {gate}"]
         lines += self._environment(node)
         stated, beside = self._separated(node, parameters.values)
         written: list[str | dict[str, ParameterValue]] = []

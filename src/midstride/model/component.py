@@ -65,10 +65,25 @@ KILL_AT_ONCE: Final = StopTimes(0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class ContainerProgram:
-    """The program that loads a composable node: ``run`` is an executable of ``package``, with its arguments."""
+    """The program that loads a composable node: ``run`` is an executable of ``package``, with its arguments.
+
+    The rest is of a container that several nodes share, and of each of its processes; a node without one states that in
+    its component. ``prefix``: the words before the program. ``environment``: the variables that it has besides, None
+    for one that it does not inherit. ``startup_seconds``: how long it takes to start, before it loads a node.
+    ``stop``: how it is ended, once its last node leaves.
+    """
 
     run: str = "component_container"
     package: str = "rclcpp_components"
+    prefix: str | None = None
+    environment: Map[str, str | None] = field(default_factory=Map)
+    startup_seconds: float | None = None
+    stop: StopTimes | None = None
+
+    def same_process(self, other: ContainerProgram) -> bool:
+        """Return whether the two start the same process, however long that takes to start and to end."""
+        own, theirs = ((each.run, each.package, each.prefix, each.environment) for each in (self, other))
+        return own == theirs
 
 
 DEFAULT_CONTAINER: Final = ContainerProgram()

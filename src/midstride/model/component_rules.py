@@ -11,7 +11,16 @@ from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
-from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode, ParameterValue
+from midstride.model.component import (
+    DEFAULT_STOP,
+    ComponentSpec,
+    ContainerProgram,
+    FunctionalitySpec,
+    InputAlternatives,
+    Mode,
+    ParameterValue,
+    StopTimes,
+)
 from midstride.model.contract import BOUND_WORDS, DEFAULT_QOS, OneOf, Predicate, QoS, explain, format_number
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.wording import KIND_WORDS, indefinite
@@ -34,6 +43,23 @@ def number_problems(
     elif value > most:
         message = f"{what} must be at most {format_number(most)}, but is {format_number(value)}"
         yield Problem("E004", path, message, f"write at most {format_number(most)}")
+
+
+def container_rules(program: ContainerProgram, path: SubjectPath) -> Iterator[Problem]:
+    """The numbers of a container that several nodes share, which has no requests or goals of its own."""
+    yield from number_problems(program.startup_seconds, "a start-up time", (*path, "takes_seconds"), zero=True)
+    if (stop := program.stop) is not None:
+        yield from _ends(stop, path)
+        for name, stated in (("drain", stop.drain), ("patience", stop.patience)):
+            if stated != getattr(DEFAULT_STOP, name):
+                message = f"a container states `{name}`, and only its nodes have requests and goals"
+                yield Problem("E027", (*path, "stop_seconds", name), message, "state it for their components")
+
+
+def _ends(stop: StopTimes, path: SubjectPath) -> Iterator[Problem]:
+    for name, seconds in (("sigterm", stop.sigterm), ("sigkill", stop.sigkill)):
+        what = f"a time until {name.upper()}"
+        yield from number_problems(seconds, what, (*path, "stop_seconds", name), zero=True)
 
 
 def value_problems(value: ParameterValue, path: SubjectPath) -> Iterator[Problem]:
@@ -90,9 +116,7 @@ def component_rules(component: ComponentSpec, path: SubjectPath) -> Iterator[Pro
     yield from number_problems(component.startup_seconds, "a start-up time", (*path, "takes_seconds"), zero=True)
     yield from number_problems(component.activate_seconds, "a time to activate", (*path, "activate_seconds"))
     if (stop := component.stop) is not None:
-        for name, seconds in (("sigterm", stop.sigterm), ("sigkill", stop.sigkill)):
-            what = f"a time until {name.upper()}"
-            yield from number_problems(seconds, what, (*path, "stop_seconds", name), zero=True)
+        yield from _ends(stop, path)
         for name, seconds, what in (
             ("drain", stop.drain, "a time to answer"),
             ("patience", stop.patience, "a time to end goals"),

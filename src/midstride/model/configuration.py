@@ -98,6 +98,28 @@ class Instance:
         if missing:
             object.__setattr__(self, "parameters", self.parameters.update(missing))
 
+    @property
+    def started(self) -> ComponentSpec:
+        """The component with how its process is started and ended: a container that it shares states that for it.
+
+        The start of the container and that of the node both count, as the first node of a process waits for it.
+        """
+        if self.container is None:
+            return self.component
+        program, own = self.container.program, self.component
+        times = [each for each in (program.startup_seconds, own.startup_seconds) if each is not None]
+        stop = own.stop
+        if program.stop is not None:
+            stop = replace(own.stop_times, sigterm=program.stop.sigterm, sigkill=program.stop.sigkill)
+        return replace(
+            own,
+            container=None if own.container is None else program,
+            prefix=program.prefix,
+            environment=program.environment,
+            startup_seconds=sum(times) if times else None,
+            stop=stop,
+        )
+
     def functionality_refs(self) -> list[FunctionalityRef]:
         return [FunctionalityRef(self.name, name) for name in self.component.functionality_order]
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 from midstride.model.component import DEFAULT_CONTAINER, DEFAULT_STOP, ComponentSpec, value_fits, value_kind
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.lifecycle_management import managed_nodes
-from midstride.model.load_words import LoadWords
 from midstride.model.specification import Node, Specification
 from midstride.model.wording import KIND_WORDS
 
@@ -137,17 +136,6 @@ def _composable(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem
         if found is not None:
             what, why = found
             yield Problem(_CODE, (*path, key), f"{name} is a composable node, and yet {what}", f"omit it: {why}")
-    if component.gate not in (None, "none", "relay") and _is_intra_process(component):
-        message = f"{name} has `use_intra_process_comms:=true`: what stays within its process goes past the gate"
-        help = "omit it: its messages then pass the gate, also to nodes of the same container"
-        yield Problem(_CODE, (*path, "run"), message, help)
-
-
-def _is_intra_process(component: ComponentSpec) -> bool:
-    try:
-        return LoadWords.of(component.run or "").extra.get("use_intra_process_comms") is True
-    except ValueError:
-        return False  # reported as a command that cannot be read
 
 
 def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
@@ -237,7 +225,7 @@ def _shared(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator
         yield Problem(_CODE, path, message, 'omit `in "…"` after the package, or `in` here')
     for what in (["a prefix"] if component.prefix else []) + (["an environment"] if component.environment else []):
         message = f"{where}, and {component.name} states {what}, which only a process has"
-        yield Problem(_CODE, path, message, "omit it, or omit `in`: the node then has a process for itself")
+        yield Problem(_CODE, path, message, f"state it for the container: `container {node.container} {{ … }}`")
 
 
 def gated_node_problems(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator[Problem]:

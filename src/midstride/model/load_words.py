@@ -49,6 +49,14 @@ class LoadWords:
         return cls(plugin, tuple(remaps), Map(extra))
 
 
+def is_intra_process(run: str | None) -> bool:
+    """Return whether the `run` text of a composable node asks for communication within the process."""
+    try:
+        return LoadWords.of(run or "").extra.get("use_intra_process_comms") is True
+    except ValueError:
+        return False  # reported as a command that cannot be read
+
+
 def _options(words: Iterator[str]) -> Iterator[tuple[str, str]]:
     for option in words:
         if option in _ELSEWHERE:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import Final
 
@@ -97,7 +97,11 @@ def _component_names(component: ComponentSpec, path: SubjectPath) -> Iterator[Pr
         yield from _command(component.prefix, (*path, "prefix"))
         if component.run is None:
             yield Problem("E009", (*path, "prefix"), "a prefix is stated without a command", "name it: `run`")
-    for name in sorted(component.environment):
+    yield from _variables(component.environment, path)
+
+
+def _variables(environment: Iterable[str], path: SubjectPath) -> Iterator[Problem]:
+    for name in sorted(environment):
         if name.startswith("MIDSTRIDE_"):
             message = f"`{name}` of the environment is set by Midstride itself"
             yield Problem("E009", (*path, "environment", name), message, "remove it")
@@ -256,6 +260,9 @@ def _shared_container(specification: Specification, name: str, program: Containe
         message = f"`{name}` names both a container and a node: the container has a ROS node of its name"
         yield Problem("E007", path, message, "use another name for one of them")
     yield from _container(program, path)
+    if program.prefix is not None:
+        yield from _command(program.prefix, (*path, "prefix"))
+    yield from _variables(program.environment, path)
 
 
 def node_names(specification: Specification, node: Node, path: SubjectPath) -> list[Problem]:

@@ -22,7 +22,13 @@ from midstride.model.component import (
     value_fits,
     value_kind,
 )
-from midstride.model.component_rules import component_rules, number_problems, predicate_problems, value_problems
+from midstride.model.component_rules import (
+    component_rules,
+    container_rules,
+    number_problems,
+    predicate_problems,
+    value_problems,
+)
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import (
     DEFAULT_QOS,
@@ -105,6 +111,8 @@ def _context_problems(specification: Specification) -> Iterator[Problem]:
         yield from predicate_problems(offer.guarantee, ("environment", offer.name, "guarantee"))
     for name, resource in specification.resources.items():
         yield from number_problems(resource.capacity, f"the capacity of {name}", ("resources", name, "capacity"))
+    for name, program in specification.containers.items():
+        yield from container_rules(program, ("containers", name))
     for kind, seconds in specification.timing.items():
         what, zero = f"the duration of a step `{kind}`", kind != "state_timeout"
         yield from number_problems(seconds, what if zero else f"`{kind}`", ("timing_seconds", kind), zero=zero)

@@ -171,6 +171,7 @@ class Change:
             for port in [*configuration.publishers_on(identity), *configuration.subscribers_on(identity)]:
                 configuration = configuration.without_attachment(port, identity).with_attachment(port, name)
         for instance in self.renamed:
-            known = replace(configuration.instances[instance.name], component=instance.component)
+            running = configuration.instances[instance.name]
+            known = replace(running, component=instance.component, container=instance.container)
             configuration = replace(configuration, instances=configuration.instances.set(instance.name, known))
         return configuration.with_context(self.target.context)

@@ -15,7 +15,7 @@ from immutables import Map
 from midstride.errors import PlanRefused
 from midstride.model.action import contract_reasons
 from midstride.model.best import best, rebalanced
-from midstride.model.component import Connector, ContainerProgram, FunctionalityRef, ParameterValue, PortRef, same_value
+from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef, SharedContainer, same_value
 from midstride.model.configuration import Configuration, Instance, SystemContext
 from midstride.model.instance_names import fresh_name
 from midstride.model.name_checks import node_names
@@ -34,6 +34,8 @@ def change_between(
     renewed: Collection[str] = (),
     away: Collection[str] = (),
     apart: Mapping[str, str] = Map(),
+    *,
+    same_process: bool = False,
 ) -> Change:
     """The change of the whole system to ``target``. Linear in the system.
 
@@ -51,7 +53,7 @@ def change_between(
         raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
     raised = best(start)
     baseline = raised if start.context == configuration.context else best(configuration)
-    builder = ChangeBuilder(specification, target, start, identities, renewed, apart)
+    builder = ChangeBuilder(specification, target, start, identities, renewed, apart, same_process)
     for role in sorted({*target.nodes, *start.instances_by_role}.difference(away)):
         builder.compare(role)
     pending = tuple(sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index))
@@ -76,10 +78,11 @@ def requested_change(
     The cost follows the change, unless the request concerns every role. ``apart`` as for :func:`change_between`. Raises
     PlanRefused.
     """
-    renewed = request.renewed(target)
+    renewed, same = request.renewed(target), request.same_process
     if request.to is not None or request.stops_everything:
-        return change_between(configuration, specification, target, measured, renewed, apart=apart)
-    return change_of_roles(configuration, specification, target, request.roles(), measured, renewed, apart)
+        return change_between(configuration, specification, target, measured, renewed, apart=apart, same_process=same)
+    roles = request.roles()
+    return change_of_roles(configuration, specification, target, roles, measured, renewed, apart, same_process=same)
 
 
 def change_of_roles(
@@ -90,13 +93,15 @@ def change_of_roles(
     measured: Mapping[str, Estimate] | None = None,
     renewed: Collection[str] = (),
     apart: Mapping[str, str] = Map(),
+    *,
+    same_process: bool = False,
 ) -> Change:
     """The change where ``target`` differs from ``specification`` only in the nodes ``roles``.
 
     The cost follows the roles and their forward cone, not the size of the system. ``configuration`` must be in its
     best modes. ``apart`` as for :func:`change_between`, which raises PlanRefused as this does.
     """
-    builder = ChangeBuilder(specification, target, configuration, {}, renewed, apart)
+    builder = ChangeBuilder(specification, target, configuration, {}, renewed, apart, same_process)
     for role in sorted(set(roles)):
         builder.compare(role)
     return builder.change(builder.final(()), measured)
@@ -113,9 +118,10 @@ class ChangeBuilder:
         identities: dict[str, str],
         renewed: Collection[str],
         apart: Mapping[str, str],
+        same_process: bool = False,
     ) -> None:
         self.specification, self.target, self.start, self.identities = specification, target, start, identities
-        self.renewed, self.apart = renewed, apart
+        self.renewed, self.apart, self.same_process = renewed, apart, same_process
         self.leaving: list[str] = []
         self.coming: dict[str, Instance] = {}
         self.replaced: dict[str, str] = {}
@@ -188,8 +194,12 @@ class ChangeBuilder:
         changed = {key: value for key, value in wanted.parameters.items() if not same_value(current.get(key), value)}
         if changed:
             self.parameters.append((instance.name, Map(changed)))
-        if instance.component is not wanted.component and instance.component != wanted.component:
-            self.renamed.append(replace(instance, component=wanted.component))
+        container = instance.container
+        if container is not None and wanted.container is not None:  # which may state other times
+            container = replace(container, program=wanted.container.program)
+        renamed = instance.component is not wanted.component and instance.component != wanted.component
+        if renamed or container != instance.container:
+            self.renamed.append(replace(instance, component=wanted.component, container=container))
         have = self.start.attached_ports(instance.name)
         want = self._wanted(instance.role, instance.name)
         self.detached.extend(pair for pair in have if pair not in want)
@@ -210,8 +220,10 @@ class ChangeBuilder:
 
         A replacement is beside the others for itself: it runs what its library has now, and may fail. An instance that
         replaces none joins those that stay, unless the one before it had left them. Where none stays, all the others
-        are together again, in a new process.
+        are together again, in a new process. Where that is asked for, a replacement is in the process of the instance
+        that it replaces. Raises PlanRefused where that would be other code, or no process of a container.
         """
+        inside = self._in_their_processes() if self.same_process else {}
         containers = {
             each.container.name: each.container for each in self.coming.values() if each.container is not None
         }
@@ -225,7 +237,25 @@ class ChangeBuilder:
                 if instance.container is not None and instance.container.name == name:
                     alone = self.apart.get(instance.role) == name
                     alone |= bool(stay) and instance.name in self.replaced.values()
-                    self.coming[instance.name] = replace(instance, process="" if alone else together)
+                    process = inside.get(instance.name, "" if alone else together)
+                    self.coming[instance.name] = replace(instance, process=process)
+
+    def _in_their_processes(self) -> dict[str, str]:
+        """By replacement, the process that it is in with the instance that it replaces. Raises PlanRefused."""
+        found = {}
+        for before, after in self.replaced.items():
+            old, new = self.start.instances[before], self.coming[after]
+            if not old.process:
+                raise PlanRefused(f"{before} has a process for itself: nothing else can be started in that")
+            if _code(old) != _code(new) or not _loaded_alike(old.container, new.container):
+                raise PlanRefused(
+                    f"{after} cannot start in {old.process}, the process of {before}: its class or its container is "
+                    "another one"
+                )
+            found[after] = old.process
+        if not found:
+            raise PlanRefused("no node of a container is replaced, so none can stay in its process")
+        return found
 
     # -- all roles together ----------------------------------------------------------------------------
 
@@ -295,7 +325,7 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     current = instance.parameters
     if set(current) != set(wanted.parameters) or instance.sections != wanted.sections:
         return True
-    if _loaded_by(instance) != _loaded_by(wanted):
+    if not _loaded_alike(instance.container, wanted.container):
         return True
     declared, asked = instance.component.parameters, wanted.component.parameters
     return any(
@@ -305,9 +335,16 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     )
 
 
-def _loaded_by(instance: Instance) -> tuple[str, ContainerProgram] | None:
-    """The container that it shares, whatever else that loads now."""
-    return None if (container := instance.container) is None else (container.name, container.program)
+def _code(instance: Instance) -> tuple[str, str | None]:
+    """The class and the package of a composable node."""
+    return (instance.component.run or "").partition(" ")[0], instance.component.package
+
+
+def _loaded_alike(one: SharedContainer | None, other: SharedContainer | None) -> bool:
+    """Return whether both are in one container, whatever else that loads now."""
+    if one is None or other is None:
+        return one is other
+    return one.name == other.name and one.program.same_process(other.program)
 
 
 def _check_limits(

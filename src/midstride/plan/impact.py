@@ -35,7 +35,8 @@ class ImpactedFunctionality(Form, frozen=True, omit_defaults=False):
 class Impact(Form, frozen=True, omit_defaults=False):
     """The functionalities that degrade without a node (`midstride impact --json`).
 
-    ``own`` are its functionalities, lost with it.
+    ``own`` are its functionalities, lost with it. ``together``: the nodes that a crash of it ends as well, as they
+    share its process; what degrades then is the impact of the container, whose own are those of its nodes.
 
     ``loss`` adds up the levels that others lose, times their weight. The node is a single point of failure if a
     functionality of another node degrades to its last mode.
@@ -46,26 +47,34 @@ class Impact(Form, frozen=True, omit_defaults=False):
     single_point_of_failure: bool
     loss: float
     own: tuple[str, ...]
+    together: tuple[str, ...]
     impacted: tuple[ImpactedFunctionality, ...]
 
 
 def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Impact]:
-    """The impact of each role (of ``roles``, where any are named), single points of failure and great losses first.
+    """The impact of each role and container (of those named, if any), single points of failure and great losses first.
 
-    Raises PlanRefused for an unknown role. The cost of each follows its forward cone.
+    Raises PlanRefused for a name that is neither. The cost of each follows its forward cone.
     """
-    named = list(roles) or specification.roles()
-    for role in named:
-        require("node", role, specification.nodes)
+    containers = {name: members for name in specification.containers if (members := specification.members_of(name))}
+    named = list(roles) or [*specification.roles(), *sorted(containers)]
+    for name in named:
+        kind = "node or container" if containers else "node"
+        require(kind, name, {*specification.nodes, *containers})
     configuration = initial(specification)
-    found = [_impact(specification, configuration, role) for role in named]
+    found = [_impact(specification, configuration, name, containers.get(name)) for name in named]
     return sorted(found, key=lambda impact: (not impact.single_point_of_failure, -impact.loss, impact.role))
 
 
-def _impact(specification: Specification, configuration: Configuration, role: str) -> Impact:
-    instance, without = configuration.instances[role], configuration.without_instance(role)
-    users = (user for own in instance.functionality_refs() for user in configuration.downstream(own))
-    modes = lowered(without, [user for user in users if user.instance != role])
+def _impact(specification: Specification, configuration: Configuration, name: str, members: list[str] | None) -> Impact:
+    """The impact of a node or, with its ``members``, of a container."""
+    gone = [name] if members is None else members
+    refs = [ref for role in gone for ref in configuration.instances[role].functionality_refs()]
+    without = configuration
+    for role in gone:
+        without = without.without_instance(role)
+    users = (user for own in refs for user in configuration.downstream(own))
+    modes = lowered(without, [user for user in users if user.instance not in gone])
     diagnosis = Diagnosis(without.with_modes(modes))
     impacted = []
     for ref, index in sorted(modes.items()):
@@ -73,13 +82,22 @@ def _impact(specification: Specification, configuration: Configuration, role: st
         before, after = functionality.modes[held].name, functionality.modes[index].name
         because = diagnosis.chain(ref, held)
         impacted.append(ImpactedFunctionality(str(ref), before, after, index - held, functionality.weight, because))
+    if members is None:
+        node = specification.nodes[name]
+        component, own = node.component, tuple(ref.functionality for ref in refs)
+        others = [] if node.container is None else specification.members_of(node.container)
+        together = tuple(other for other in others if other != name)
+    else:
+        component, own = specification.containers[name].run, tuple(map(str, refs))
+        together = tuple(members)
     return Impact(
-        role=role,
-        component=specification.nodes[role].component,
+        role=name,
+        component=component,
         single_point_of_failure=any(
             index == configuration.functionality(ref).last_mode for ref, index in modes.items()
         ),
         loss=sum(each.loss for each in impacted),
-        own=instance.component.functionality_order,
+        own=own,
+        together=together,
         impacted=tuple(sorted(impacted, key=lambda each: -each.loss)),
     )

@@ -23,7 +23,8 @@ class PlanRequest:
     ``restart`` may accompany a whole specification.
     With ``declared_parameters``, parameter values that were set at run time are not kept.
     ``with_other_nodes``: nodes that the change does not name, and that end with a process that it ends, are meant too.
-    ``detours``: the strategy ``minimal`` also tries to move nodes that stay, and stand-ins.
+    ``same_process``: a replaced node of a container starts in the process that it is in, with the code that this has
+    loaded. ``detours``: the strategy ``minimal`` also tries to move nodes that stay, and stand-ins.
     ``explain``: a plan that is only shown says what it would cost to keep what it degrades.
     ``restore``: only raise these functionalities of instances, to these modes. ``parameters``: only set these values at
     run time, by role.
@@ -39,6 +40,7 @@ class PlanRequest:
     detours: bool = False
     declared_parameters: bool = False
     with_other_nodes: bool = False
+    same_process: bool = False
     restore: tuple[tuple[FunctionalityRef, int], ...] = ()
     parameters: tuple[tuple[str, Map[str, ParameterValue]], ...] = ()
     explain: bool = False

@@ -13,12 +13,14 @@ from immutables import Map
 
 from midstride.codec.form import Form
 from midstride.model.component import (
+    DEFAULT_CONTAINER,
     ComponentSpec,
     Connector,
     ContainerProgram,
     EnvironmentGuarantee,
     ParameterValue,
     Resource,
+    StopTimes,
     same_value,
 )
 from midstride.model.contract import ConnectorKind, format_number
@@ -61,7 +63,7 @@ def differences(old: Specification, new: Specification, renewed: Mapping[str, st
             old.containers,
             new.containers,
             lambda program: (_program(program),),
-            lambda before, after: (_became("run", _program(before), _program(after)),) if before != after else (),
+            _shared_container,
         ),
         *_compared("environment", was, will, lambda offer: (str(offer.guarantee),), _offer),
         *_components(old.components, new.components),
@@ -146,8 +148,7 @@ def _same_but_name(before: ComponentSpec, after: ComponentSpec) -> bool:
     return before.same_body(after) and before.parameters == after.parameters
 
 
-def _stop(component: ComponentSpec) -> str | None:
-    stop = component.stop
+def _stop(stop: StopTimes | None) -> str | None:
     if stop is None:
         return None
     times = (
@@ -161,6 +162,18 @@ def _stop(component: ComponentSpec) -> str | None:
 
 def _container(component: ComponentSpec) -> str | None:
     return None if component.container is None else _program(component.container)
+
+
+def _shared_container(before: ContainerProgram, after: ContainerProgram) -> Iterator[str]:
+    for what, old, new in (
+        ("run", _program(before), _program(after)),
+        ("prefix", before.prefix, after.prefix),
+        ("takes", before.startup_seconds, after.startup_seconds),
+        ("stop", _stop(before.stop), _stop(after.stop)),
+    ):
+        if old != new:
+            yield _became(what, old, new)
+    yield from _named("variable", *(_variables(each.environment) for each in (before, after)))
 
 
 def _program(container: ContainerProgram) -> str:
@@ -179,7 +192,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         ("unnamed", before.unnamed, after.unnamed),
         ("renames", before.renames, after.renames),
         ("activate", before.activate_seconds, after.activate_seconds),
-        ("stop", _stop(before), _stop(after)),
+        ("stop", _stop(before.stop), _stop(after.stop)),
         ("once", before.once or None, after.once or None),
     ):
         if old != new:
@@ -195,7 +208,7 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         yield from _named(f"{words.connector} of", *(_of_kind(kind, each, each.topics) for each in (before, after)))
     yield from _named("lazy", *(dict.fromkeys(sorted(each.lazy), "") for each in (before, after)))
     yield from _named("holds", before.resource_usage, after.resource_usage)
-    yield from _named("variable", *(_variables(each) for each in (before, after)))
+    yield from _named("variable", *(_variables(each.environment) for each in (before, after)))
     yield from _named("parameter", _parameters(before), _parameters(after))
     allowed = [{str(endpoint): "" for endpoint in component.allows} for component in (before, after)]
     yield from _named("allows", *allowed)
@@ -203,8 +216,8 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
         yield from _functionality(name, before, after)
 
 
-def _variables(component: ComponentSpec) -> dict[str, str]:
-    return {name: "unset" if value is None else repr(value) for name, value in component.environment.items()}
+def _variables(environment: Mapping[str, str | None]) -> dict[str, str]:
+    return {name: "unset" if value is None else repr(value) for name, value in environment.items()}
 
 
 def _parameters(component: ComponentSpec) -> dict[str, str]:
@@ -284,9 +297,11 @@ def _node(
     if before.container != after.container:
         details.append(_became("container", before.container, after.container))
         replaced = True
-    elif before.container is not None and old.containers.get(before.container) != new.containers.get(before.container):
-        details.append(f"container {before.container} has another program")
-        replaced = True
+    elif before.container is not None:
+        programs = [each.containers.get(before.container, DEFAULT_CONTAINER) for each in (old, new)]
+        if not programs[0].same_process(programs[1]):
+            details.append(f"container {before.container} has another program or environment")
+            replaced = True
     wiring = list(_wiring(before, after))
     replaced = replaced or (bool(wiring) and was.gate is not None)  # its topics are fixed at its start
     policy = [] if before.respawn == after.respawn else [_became("respawn", before.respawn, after.respawn)]

@@ -14,6 +14,7 @@ from midstride.backends.ros2.manager import probed_page
 from midstride.capture.graph_draft import draft, drafted_nodes, drafted_services
 from midstride.capture.insertion import insert, nodes_without_ports
 from midstride.capture.observed import ObservedGraph
+from midstride.capture.observed_processes import not_stated, observed_processes
 from midstride.capture.probe import (
     MOST_ROUNDS,
     ROUNDS,
@@ -91,6 +92,7 @@ def capture_command(
     printed, or written with `-o`.
     With `--probe`, the inputs of nodes that have a gate and run under `midstride up` are closed one after another. This
     disturbs the running system: a node misses what it would receive, and what depends on that stops.
+    A draft has the component containers that run, and says which nodes are in them, and which others share a process.
     Lifecycle nodes that nothing manages get `gate lifecycle preload`. Those of a lifecycle manager do with `--lifecycle
     midstride`, which leaves the manager out of FILE.
     """
@@ -118,11 +120,13 @@ def capture_command(
     stated_names = {own: stated for stated, own in own_names.items()}
     graph = graph.renamed(stated_names)
     findings = {(stated_names.get(node, node), one, other): each for (node, one, other), each in findings.items()}
+    shared: list[str] = []
     added, left, target = drafted_nodes(graph), dict[str, str](), output
     ports = sum(len(graph.of_node(node)) for node in added) + len(drafted_services(graph))
     if into is not None:
         if (stated := load(into).specification) is not None:
             note_managers(graph, stated)
+            shared = [f"{each.words}, and FILE states them elsewhere" for each in not_stated(graph, stated)]
         insertion = insert(read_text(into), str(into), graph, rates, findings, lifecycle)
         text, added, left, target = insertion.text, insertion.added, insertion.left, output or into
         ports = insertion.ports
@@ -132,7 +136,7 @@ def capture_command(
         managed = words_on(graph, lifecycle, added)
     if target is not None:
         write(target, text)
-    _report(text, target, graph, added, ports, left, managed, findings)
+    _report(text, target, graph, added, ports, left, [*managed, *shared], findings)
     return 0
 
 
@@ -230,6 +234,7 @@ def _report(
                 "ports": ports,
                 "left": left,
                 "lifecycle": managed,
+                "processes": [{"container": each.container, "nodes": each.nodes} for each in observed_processes(graph)],
                 "probed": [
                     {"node": node, "input": one, "output": other, "verdict": each.verdict, "evidence": each.because}
                     for (node, one, other), each in sorted(findings.items())

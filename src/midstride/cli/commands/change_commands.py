@@ -84,12 +84,14 @@ def _components_option(function: Any) -> Any:
 @click.argument("component", shell_complete=shell_completion.components)
 @_components_option
 @change_options.declared_parameters_option
+@change_options.same_process_option
 @request_options
 def replace_command(
     node: str,
     component: str,
     file: Path | None,
     declared_parameters: bool,
+    same_process: bool,
     options: RequestOptions,
 ) -> int:
     """Replace the component of NODE with COMPONENT, on the same topics."""
@@ -97,6 +99,7 @@ def replace_command(
         "replace": [[node, component]],
         "components": _encoded(_component_of(file, component)),
         "declared_parameters": declared_parameters,
+        "same_process": same_process,
     }
     return change(options, request, f"replace {node} with {component}")
 
@@ -106,10 +109,12 @@ def replace_command(
     "nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=shell_completion.nodes_and_containers
 )
 @change_options.declared_parameters_option
+@change_options.same_process_option
 @request_options
 def restart_command(
     nodes: tuple[str, ...],
     declared_parameters: bool,
+    same_process: bool,
     options: RequestOptions,
 ) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance.
@@ -117,7 +122,11 @@ def restart_command(
     The name of a container stands for all of its nodes, which move to a new process together. The plan says what is
     lost on the way, and of which nodes nothing is measured, as of one without ports.
     """
-    request = {"restart": list(nodes), "declared_parameters": declared_parameters}
+    request = {
+        "restart": list(nodes),
+        "declared_parameters": declared_parameters,
+        "same_process": same_process,
+    }
     return change(options, request, f"restart {', '.join(nodes)}")
 
 
@@ -186,11 +195,13 @@ def remove_command(
 @click.argument("new", type=click.Path(path_type=Path))
 @click.option("--keep-code", is_flag=True, help="Do not replace nodes only because their code has changed on disk.")
 @change_options.declared_parameters_option
+@change_options.same_process_option
 @request_options
 def apply_command(
     new: Path,
     keep_code: bool,
     declared_parameters: bool,
+    same_process: bool,
     options: RequestOptions,
 ) -> int:
     """Change the running system to the specification NEW, and to the code that its programs have now."""
@@ -221,6 +232,7 @@ def apply_command(
             "to": encode_specification(target),
             "restart": sorted(changed),
             "declared_parameters": declared_parameters,
+            "same_process": same_process,
         }
 
     return change(options, request, f"apply {new.name}", file=str(new.resolve()))

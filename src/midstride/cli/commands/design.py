@@ -58,7 +58,8 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first.
 
-    A node without which a functionality of another node is in its last mode is a single point of failure.
+    A node without which a functionality of another node is in its last mode is a single point of failure. A crash of a
+    node in a container ends all nodes of it: then what its container has degrades.
     """
     specification = load(file)
     found = impacts(specification, nodes)
@@ -68,10 +69,18 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     components = {role: specification.components[node.component] for role, node in specification.nodes.items()}
     portless = {role for role, component in components.items() if not component.ports() and not component.once}
     for impact in found:
-        none = "not known: no ports are stated" if impact.role in portless else "nothing else degrades"
+        of_container = impact.role in specification.containers
+        is_known = not portless.issuperset(impact.together if of_container else {impact.role})
+        none = "nothing else degrades" if is_known else "not known: no ports are stated"
         mark = "single point of failure: " if impact.single_point_of_failure else ""
         heading = f"{mark}{impact.role} ({impact.component})"
         click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.impacted else none}")
+        if of_container:
+            click.echo(f"  a crash ends {listed(impact.together)}")
+        elif impact.together:
+            container = specification.nodes[impact.role].container
+            end = "ends" if len(impact.together) == 1 else "end"
+            click.echo(f"  if it crashes, {listed(impact.together)} {end} as well: see {container}")
         for fall in impact.impacted:
             levels = counted(fall.levels, "mode")
             click.echo(f"  {fall.functionality}: {fall.before} -> {fall.after} ({levels}, weight {fall.weight:g})")

@@ -14,7 +14,12 @@ from click.core import ParameterSource
 from rich.console import RenderableType
 
 from midstride.cli import render, render_comparison
-from midstride.cli.change_options import STRATEGIES, declared_parameters_option, with_other_nodes_option
+from midstride.cli.change_options import (
+    STRATEGIES,
+    declared_parameters_option,
+    same_process_option,
+    with_other_nodes_option,
+)
 from midstride.cli.client import Client
 from midstride.cli.input_files import load, write
 from midstride.cli.output import console, json_option, print_json, wants_json
@@ -53,6 +58,7 @@ def _seconds(_context: click.Context, _parameter: click.Parameter, text: str | N
 @click.option("--within", metavar="SECONDS", callback=_seconds, help="How long to search for the proof of minimality.")
 @click.option("--html", "page", type=click.Path(path_type=Path), metavar="FILE", help="Write it as one HTML file, too.")
 @declared_parameters_option
+@same_process_option
 @with_other_nodes_option
 @system_option
 @json_option
@@ -64,6 +70,7 @@ def plan_command(
     within: float | None,
     page: Path | None,
     declared_parameters: bool,
+    same_process: bool,
     with_other_nodes: bool,
     system: str | None,
     **options: Any,
@@ -103,7 +110,7 @@ def plan_command(
     if file is None and within is not None:
         raise click.UsageError("--within needs FILE: the manager of a running system does not search for long")
     asked: Document = {**described, "declared_parameters": declared_parameters, "explain": explain}
-    asked["with_other_nodes"] = with_other_nodes
+    asked |= {"with_other_nodes": with_other_nodes, "same_process": same_process}
     request = replace(decode_request(asked), to=None if to is None else load(to))
     if file is None:
         client, workspace = find(system)
@@ -142,7 +149,8 @@ def _for_file(specification: Specification, request: PlanRequest, within: float 
     request = replace(request, strategy=strategy)
     request = request.for_members(request.to or specification)
     target = request.target(specification)
-    change = change_between(initial(specification), specification, target, renewed=request.renewed(target))
+    start, renewed, same = initial(specification), request.renewed(target), request.same_process
+    change = change_between(start, specification, target, renewed=renewed, same_process=same)
     detours = request.detours and strategy == "minimal"
     plan = with_time_for_goals(planner(strategy, within, detours=detours)(change))
     require_unbroken_bonds(plan)

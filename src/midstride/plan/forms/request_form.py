@@ -54,6 +54,10 @@ class ChangeRequest(Form, frozen=True):
         bool,
         field("a boolean", "also where other nodes end with a process that the change ends: else it is refused"),
     ] = False
+    same_process: Annotated[
+        bool,
+        field("a boolean", "a replaced node of a container starts in the process that it is in, with the same code"),
+    ] = False
     explain: Annotated[
         bool, field("a boolean", "for a plan that is only shown: what it would cost to keep what it degrades")
     ] = False
@@ -72,6 +76,7 @@ class ChangeRequest(Form, frozen=True):
             detours=self.detours,
             declared_parameters=self.declared_parameters,
             with_other_nodes=self.with_other_nodes,
+            same_process=self.same_process,
             explain=self.explain,
         )
 

@@ -43,6 +43,7 @@ from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_assessment import change_assessment
 from midstride.runtime.change.change_permission import NO_OVERRIDE, ChangePermission, Override
 from midstride.runtime.change.change_phases import ChangeEvent
+from midstride.runtime.change.container_copies import room_for_copies
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.goal_tallies import goal_tallies
@@ -164,6 +165,9 @@ class ChangeSession:
         others = ending_nodes(plan, self.others.look())
         if not request.with_other_nodes and (refused := would_end_others(others)) is not None:
             raise PlanRefused(refused)
+        handles = system.life.handles
+        pids = {name: handle.pid for name, handle in handles.items() if handle.pid is not None}
+        room = await asyncio.to_thread(lambda: tuple(room_for_copies(plan, pids)))
         besides = (
             *lost_endpoints(plan, system.life.latest_states, self._endpoints()),
             *planned_transfers(plan, system.life.latest_states),
@@ -173,7 +177,7 @@ class ChangeSession:
         )
         states = system.life.latest_states
         in_turn = (*answered_in_turn(plan, states), *messages_in_turn(plan, states))
-        remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks)
+        remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks, *room)
         plan = with_time_for_goals(plan, with_goals(states, self._endpoints()))
         plan = with_time_for_state(plan, {name for name, latest in states.items() if latest.state.keeps_state})
         live = system.configuration.instances_by_role
@@ -552,8 +556,10 @@ def _plan(
     if request.to is None and len(request.roles()) == 1:
         change = requested_change(configuration, specification, request, planned, measured, apart)
     else:
-        renewed = request.renewed(planned)
-        change = change_between(configuration, specification, planned, measured, renewed, away, apart)
+        renewed, same = request.renewed(planned), request.same_process
+        change = change_between(
+            configuration, specification, planned, measured, renewed, away, apart, same_process=same
+        )
     plan = planner(request.strategy, detours=request.detours)(change)
     parameters = of_change(plan.change, values, keep=keep, unknown=unknown)
     doubt = sensitivity(plan)

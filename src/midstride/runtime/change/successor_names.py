@@ -104,7 +104,8 @@ def _another_name(
     """
     before, after = _node_of(old, state), full_name(new.role)
     both = old.component.loads_library and new.component.loads_library
-    if not old_first and both and state.keeps_name:
+    inside = bool(old.process) and old.process == new.process  # where no two nodes have one name
+    if not old_first and both and state.keeps_name and not inside:
         return None
     if new.component.unnamed:
         return None if old_first else change_facts.another_name(old.name, before, None, planned=planned)

@@ -43,7 +43,7 @@ def hanging(life: LifeTable, leaving: Iterable[Instance]) -> Iterator[str]:
         if state is not None and busy < LONG:
             continue
         why = "does not answer" if state is None else f"hangs: a call of its code has not returned for {busy:.0f} s"
-        longer = DEFAULT_WAIT + stop_times(instance.component).longest
+        longer = DEFAULT_WAIT + stop_times(instance.started).longest
         yield (
             f"{name} {why}; unless it returns, the change takes up to {longer:g} s longer: where it has to wait for "
             f"that, it is fenced after {DEFAULT_WAIT:g} s (`--wait`), and ended"

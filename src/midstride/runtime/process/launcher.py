@@ -167,11 +167,12 @@ class Launcher:
         set_values = start_values(instance)
         self._forget_process(name)  # it may have exited without being asked to
         registering = None if instance.component.once else asyncio.ensure_future(self._client.registered(name))
-        self.pending.begin(name, instance.component.startup_seconds or 0.0, registering)
+        startup = instance.started.startup_seconds or 0.0
+        self.pending.begin(name, startup, registering, instance.process)
         if instance.component.run is None:
             self._life.started(name, None)
             return True
-        self._components[name] = instance.component
+        self._components[name] = instance.started
         try:
             launch = launch_of(
                 instance,
@@ -328,7 +329,7 @@ class Launcher:
         """A change has ended: these run, with components that may state other times than those they started with."""
         for instance in instances:
             if instance.name in self._components:
-                self._components[instance.name] = instance.component
+                self._components[instance.name] = instance.started
 
     async def end(self, name: str) -> None:
         """End a component that a manager started. Raises BackendError; then its handle is kept."""

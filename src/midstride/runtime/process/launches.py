@@ -38,7 +38,7 @@ def launch_of(
     The other arguments are those of :meth:`.launcher.Launcher.start`. Raises StartFailed for what that platform lacks,
     and for a command that cannot be split.
     """
-    name, component = instance.name, instance.component
+    name, component = instance.name, instance.started
     command, gate, package = component.run or "", component.gate, component.package
     known = GATES_OF.get(backend, ())
     if gate is not None and not component.once and gate not in known:
@@ -57,8 +57,7 @@ def launch_of(
             load = LoadWords.of(command)
         except ValueError as error:
             raise StartFailed(f"{name}: `{command}` cannot be loaded into a container: {error}") from None
-        program = component.container if instance.container is None else instance.container.program
-        command, package = program.run, program.package
+        command, package = component.container.run, component.container.package
     if package is not None and backend != "ros2":
         raise StartFailed(f"{name} is in package {package}, which the back end {backend} cannot look up")
     try:

@@ -31,6 +31,7 @@ class PendingStarts:
         self._exits: dict[str, asyncio.Future[Exited]] = {}
         self._started_at: dict[str, float] = {}  # steady s
         self._startups: dict[str, float] = {}  # how long these take to start besides, as their components state (s)
+        self._processes: dict[str, str] = {}
         self._to_end: set[str] = set()  # those whose program is to end
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
 
@@ -38,12 +39,18 @@ class PendingStarts:
         return name in self._starting
 
     def begin(
-        self, name: str, startup: float, registering: asyncio.Future[tuple[Greeting, Registration]] | None
+        self,
+        name: str,
+        startup: float,
+        registering: asyncio.Future[tuple[Greeting, Registration]] | None,
+        process: str = "",
     ) -> None:
         """Await a process from now on. ``startup``: how long it takes to start besides, as its component states (s).
 
-        ``registering``: its registration; None where its program is to end, and does not register.
+        ``registering``: its registration; None where its program is to end, and does not register. ``process``: the
+        name of the one that it shares with others, which loads one after another.
         """
+        self._processes[name] = process or name
         self._exits[name] = asyncio.get_running_loop().create_future()
         self._started_at[name] = self._backend.clock.steady()
         self._startups[name] = startup
@@ -57,6 +64,7 @@ class PendingStarts:
     def forget(self, name: str) -> None:
         self._started_at.pop(name, None)
         self._startups.pop(name, None)
+        self._processes.pop(name, None)
         self._to_end.discard(name)
         for waiting in (self._starting.pop(name, None), self._exits.pop(name, None)):
             if waiting is not None:
@@ -85,7 +93,8 @@ class PendingStarts:
     def count(self) -> int:
         """How many processes that are to register have been started, and have neither done so nor exited."""
         registering = ((name, each) for name, each in self._starting.items() if name not in self._to_end)
-        return sum(not (each.done() or self._exits[name].done()) for name, each in registering)
+        waiting = (name for name, each in registering if not (each.done() or self._exits[name].done()))
+        return len({self._processes[name] for name in waiting})
 
     async def first_exit(self, names: Iterable[str]) -> tuple[str, Exited] | None:
         """The first of these processes that exits before it has registered, and how; None if all have registered."""

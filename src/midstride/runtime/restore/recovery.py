@@ -59,7 +59,7 @@ async def recover(
                 done[instance.role] = instance
             continue
         try:
-            state = await launcher.adopt(handle or Handle(instance.name), instance.component, owned=handle is not None)
+            state = await launcher.adopt(handle or Handle(instance.name), instance.started, owned=handle is not None)
         except (ProtocolError, Unreachable) as error:
             if handle is not None:
                 if isinstance(error, ProtocolError):
@@ -140,7 +140,7 @@ async def _resolved(
                 answer = await ask(name)
             except Unreachable:  # the earlier manager had just told it to exit, or it has crashed
                 handle = client.life[name].handle
-                if await launcher.adopt(handle or Handle(name), instance.component, owned=handle is not None) is None:
+                if await launcher.adopt(handle or Handle(name), instance.started, owned=handle is not None) is None:
                     events.add("gone", f"{name} is no longer running")
                     await launcher.abandon(name)
                     del resolved[name]

@@ -121,11 +121,13 @@ class ForeignNodes:
     ) -> StartName:
         """Return what the node of the instance is called; the arguments are as for :class:`OwnNames`.
 
-        A replacement with the library in its process has the name of a node that has it, too: one of them answers.
+        A replacement with the library in its process has the name of a node that has it, too: one of them answers. In
+        one process, the names distinguish the two.
         Raises StartFailed.
         """
         old = self._agents.get(launch.predecessor)
-        if component.loads_library and old is not None and self._can_share(old.node.record):
+        inside = old is not None and bool(launch.process) and old.node.record.process == launch.process
+        if component.loads_library and old is not None and not inside and self._can_share(old.node.record):
             shared = self._own_names.shared_name(old.node.record.node, launch, component)
             if shared is not None:
                 return shared

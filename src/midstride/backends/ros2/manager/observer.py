@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
 from typing import Any, Final
 
@@ -35,6 +35,7 @@ LEAVES: Final = 1.5
 _DEPTH: Final = 1000
 _CHANGE_STATE: Final = "change_state"
 _CHANGES_STATE: Final = "lifecycle_msgs/srv/ChangeState"
+_LOAD_NODE: Final = "_container/load_node"
 _NODE: Final = "_midstride_capture"
 
 
@@ -87,9 +88,11 @@ def observe(
 
 def _look(node: Any, graph: ObservedGraph, writes: SeenWrites | None) -> None:
     for topic, _ in node.get_topic_names_and_types():
-        publishers = [_endpoint(info, topic, True) for info in node.get_publishers_info_by_topic(topic)]
+        written, read = node.get_publishers_info_by_topic(topic), node.get_subscriptions_info_by_topic(topic)
+        _look_at_processes(graph, (*written, *read))
+        publishers = [_endpoint(info, topic, True) for info in written]
         graph.saw(publishers)
-        graph.saw(_endpoint(info, topic, False) for info in node.get_subscriptions_info_by_topic(topic))
+        graph.saw(_endpoint(info, topic, False) for info in read)
         wanted = [each for each in publishers if not each.is_infrastructure]
         counted = writes is not None and all(writes.counts(each.node, topic) for each in wanted)
         if wanted and topic not in graph.subscribed and not counted:
@@ -116,6 +119,8 @@ def _look_at_services(node: Any, graph: ObservedGraph) -> None:
             graph.saw(
                 ObservedEndpoint(name, each.name, each.type, output, DEFAULT_QOS, "") for each in named_servers(listed)
             )
+        if any(service == f"{name}/{_LOAD_NODE}" for service, _ in served):
+            graph.containers.add(name)
         if any(service == f"{name}/{_CHANGE_STATE}" and _CHANGES_STATE in types for service, types in served):
             graph.lifecycle.add(name)
         managed = {
@@ -125,6 +130,14 @@ def _look_at_services(node: Any, graph: ObservedGraph) -> None:
         }
         if managed - {name}:
             graph.managers.setdefault(name, set()).update(managed - {name})
+
+
+def _look_at_processes(graph: ObservedGraph, infos: Iterable[Any]) -> None:
+    """Note which process has the nodes of these publishers and subscriptions."""
+    rmw = middleware.of_this_process()
+    for info in infos:
+        if not info.node_name.startswith("_") and (process := rmw.node_process(info)) is not None:
+            graph.processes[full_name(info.node_name, info.node_namespace)] = process.key.hex()
 
 
 def _note_counted(graph: ObservedGraph, writes: SeenWrites | None) -> None:
