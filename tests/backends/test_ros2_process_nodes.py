@@ -96,6 +96,17 @@ def test_two_nodes_of_its_name_are_one_other() -> None:
     assert answer == {"box": OtherNodes((OtherNode("/box", namesake=True),))}
 
 
+def test_one_of_its_name_that_was_killed_is_no_other() -> None:
+    """The graph shows it until the lease of the middleware is over."""
+    from midstride.backends.ros2.manager.process_nodes import AskedProcess
+
+    control = f"/{names.control('talker', 'talker', '0123abcd')}"
+    shown = [(name, fast(pid)) for pid in (13, 15) for name in ("/talker", control)]
+    graph = DrawnGraph(FAST, [*shown, ("/box", fast(20)), ("/box", fast(21))])
+    asked = [AskedProcess("talker"), AskedProcess("box", "/box")]
+    assert found(graph, asked, {"talker": {15}, "box": {21}}) == {}
+
+
 def test_a_process_without_a_node_of_the_name_that_is_meant_says_so() -> None:
     from midstride.backends.ros2.manager.process_nodes import AskedProcess, other_nodes
 

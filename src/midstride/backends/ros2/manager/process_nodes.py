@@ -65,7 +65,10 @@ def other_nodes(
     visible = [(node, process) for node, process in shown if not names.is_hidden(node)]
     left = Counter((process.key, node) for node, process in visible) - Counter(own)
     rmw, pids = graph.rmw, dict[str, set[int]]()
-    if rmw.fast_dds and left:
+    # The graph shows one that was killed for the lease of the middleware, also beside the next of its name.
+    times = Counter(node for node, _ in visible)
+    shown_twice = any(times[node] > 1 for each in found.values() for node in each.own)
+    if rmw.fast_dds and (left or shown_twice):
         pids = {**families()}
         here = next((process.host for node, process in shown if node == graph.own_name), None)
         for each in asked:
