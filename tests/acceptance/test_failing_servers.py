@@ -76,10 +76,11 @@ PATIENCE: Final = 8.0
 NUMBER: Final = 5
 
 
-def written(folder: Path, watch_after: float = 4) -> Specification:
+def written(folder: Path, watch_after: float = 4, gate: str = "preload") -> Specification:
     for name, text in (("server", SERVER), ("failing", FAILING), ("clients", CLIENTS)):
         (folder / f"{name}.py").write_text(text)
-    return load_text(TEXT.replace("watch_after 4 s", f"watch_after {watch_after:g} s")).require()
+    text = TEXT.replace("watch_after 4 s", f"watch_after {watch_after:g} s").replace("gate preload", f"gate {gate}")
+    return load_text(text if gate == "preload" else text.replace("stop drain 0.3 s ", "")).require()
 
 
 def instances(system: Robot) -> list[str]:
@@ -113,9 +114,9 @@ def judge(calls: Calls, failed: set[str], ends: int = 0) -> None:
 
 
 @asynccontextmanager
-async def failing(folder: Path, watch_after: float = 4) -> AsyncIterator[tuple[Robot, Calls]]:
+async def failing(folder: Path, watch_after: float = 4, gate: str = "preload") -> AsyncIterator[tuple[Robot, Calls]]:
     async with (
-        robot(written(folder, watch_after), folder) as system,
+        robot(written(folder, watch_after, gate), folder) as system,
         calling(folder, system.until, clients=NUMBER, patience=PATIENCE) as calls,
     ):
         yield system, calls
@@ -203,8 +204,9 @@ class Killer:
 @pytest.mark.long
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("victim", ["old", "new"])
+@pytest.mark.parametrize("gate", ["preload", "relay"])
 def test_one_serves_on_when_the_other_is_killed_at_any_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gate: str, victim: str
 ) -> None:
     """At the first of each command that the new one gets in a whole change, before and after it.
 
@@ -214,7 +216,7 @@ def test_one_serves_on_when_the_other_is_killed_at_any_command(
 
     async def scenario() -> None:
         ends, reached = 0, set[str]()
-        async with failing(tmp_path, watch_after=0) as (system, calls):
+        async with failing(tmp_path, 0, gate) as (system, calls):
             assert (await killer.restart(system, None)).outcome == "done"
             points = [(victim, name, when) for name in dict.fromkeys(killer.commands) for when in ("before", "after")]
             for point in points:

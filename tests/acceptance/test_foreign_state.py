@@ -82,6 +82,36 @@ except (KeyboardInterrupt, ExternalShutdownException):
 """
 
 
+# With the API, the same: its state has the same form.
+OURS = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("Ours")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+count = handled = 0
+
+def normal():
+    global count
+    count += 1
+    out.write(String(data=f"{comp.instance} {count}"))
+
+@comp.on_export_state
+def export_state():
+    return f"{count} {handled}".encode()
+
+@comp.on_import_state
+def import_state(state):
+    global count, handled
+    count, handled = map(int, state.split())
+
+talk.set_normal_mode(normal, rate=50, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
 def written(folder: Path) -> Path:
     (folder / "counter.py").write_text(COUNTER, encoding="utf-8")
     text = "system counting\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
@@ -259,3 +289,43 @@ def test_one_that_hangs_as_it_exports_is_replaced_all_the_same(tmp_path: Path) -
 @pytest.mark.long
 def test_a_plain_node_keeps_what_it_has_counted_across_many_replacements(tmp_path: Path) -> None:
     kept_across(tmp_path, REPLACEMENTS)
+
+
+@pytest.mark.long
+def test_the_state_of_a_relayed_node_goes_on_behind_another_relay_and_with_the_api(tmp_path: Path) -> None:
+    """Beside each other. With `--strategy paper`, also between the API and a node with the library in it."""
+    for name, text in (("counter", COUNTER), ("ours", OURS)):
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    text = "system counting\ntopic /chat : std_msgs/msg/String @ 50 Hz\n"
+    for name, gate in (("Relayed", "relay"), ("Other", "relay"), ("Plain", "preload")):
+        text += declared_talker(name, "python3 counter.py 0", gate)
+    text += declared_talker("Refusing", "python3 counter.py 'of another version'", "relay")
+    text += declared_talker("Ours", "python3 ours.py")
+    (tmp_path / "counting.stride").write_text(f"{text}node counter : Relayed {{ out -> /chat }}\n", encoding="utf-8")
+
+    async def scenario() -> None:
+        async with robot(load(tmp_path / "counting.stride").require(), tmp_path) as system:
+            for component in ("Other", "Relayed", "Ours", "Other", "Ours", "Relayed"):
+                begun = len(system.heard)
+                report = await system.change(component, "counter")
+                assert (report.outcome, report.because, report.own_state) == ("done", None, {}), report
+                await system.hears()
+                heard = system.heard[begun - 1 :]
+                silences = [(b[0] - a[0], b[2] - a[2] - 1) for a, b in pairwise(heard) if a[1] != b[1]]
+                print(f"{component}: silent for {silences[0][0] * 1e3:.0f} ms, left out {silences[0][1]} numbers")
+            report = await system.change("Refusing", "counter")
+            assert report.outcome == "rolled_back" and "of another version" in (report.because or ""), report
+            await system.hears()
+            for component, strategy in (("Ours", "minimal"), ("Plain", "paper"), ("Ours", "paper"), ("Other", "paper")):
+                request = PlanRequest(replace=(("counter", component),), strategy=strategy)
+                plan = await system.manager.plan(request)
+                assert not any("state" in each.words and "lost" in each.words for each in plan.besides), plan.besides
+                report = await system.meanwhile(system.manager.change(request))
+                assert (report.outcome, report.because, report.own_state) == ("done", None, {}), report
+                await system.hears()
+        numbers = [number for _, _, number in system.heard]
+        assert all(before < after for before, after in pairwise(numbers)), system.holes()
+        assert len(system.changes()) == 10
+
+    with ended():
+        run(scenario(), 300)

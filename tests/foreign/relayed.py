@@ -19,7 +19,8 @@ from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.own_names import StartName
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.virtual_clock import SimulatedTimer
-from midstride.foreign.graph_check import GraphEndpoint
+from midstride.foreign.foreign_state import OfferedState
+from midstride.foreign.graph_check import GraphEndpoint, NamedServer, Served
 from midstride.foreign.relay import RelayComponent, RelayPlatform
 from midstride.foreign.relayed_program import RelayOrder
 from midstride.foreign.services import NoAnswer
@@ -58,7 +59,9 @@ class Program:
     ``hung``: the instances that write nothing now; all do so after ``most`` messages. ``type``: of the subscriptions.
     ``set``: what was set at once of their parameters, in order; ``rejects``: by parameter, why it cannot be. ``own``:
     the parameters that they declare besides those that they are started with; ``values``: by instance, what it has now.
-    ``mute``: the instances that do not answer for their parameters.
+    ``mute``: the instances that do not answer for their parameters, or their state. ``offers``: the services by which
+    they offer their state, which is how many messages they have written; ``refuses``: why they do not import it.
+    ``takes``: how long they take to export it, and to import it (s).
     """
 
     rate: float = 50.0
@@ -70,6 +73,9 @@ class Program:
     rejects: dict[str, str] = field(default_factory=dict)
     own: dict[str, Any] = field(default_factory=dict)
     values: dict[str, dict[str, Any]] = field(default_factory=dict)
+    offers: tuple[tuple[str, str], ...] = ()
+    refuses: str | None = None
+    takes: float = 0.0
 
 
 @dataclass
@@ -98,6 +104,30 @@ class ProgramParameters:
         own |= values
         program.set.append(dict(values))
         return None
+
+
+class ProgramState:
+    """What the node of ``instance`` has counted, and the services for it."""
+
+    def __init__(self, program: Program, instance: str) -> None:
+        self.program, self.instance = program, instance
+        self.count = 0
+
+    async def _answers(self, timeout: float) -> None:
+        if self.instance in self.program.mute:
+            await asyncio.sleep(timeout)
+            raise NoAnswer(f"{self.instance} has not answered within {timeout:g} s")
+        await asyncio.sleep(self.program.takes)
+
+    async def export_state(self, timeout: float) -> bytes | str:
+        await self._answers(timeout)
+        return str(self.count).encode()
+
+    async def import_state(self, state: bytes, timeout: float) -> str | None:
+        await self._answers(timeout)
+        if self.program.refuses is None:
+            self.count = int(state)
+        return self.program.refuses
 
 
 class SimulatedRelays(Simulator):
@@ -142,8 +172,16 @@ class SimulatedRelay(RelayComponent):
         running: Any = SimpleNamespace(status=lambda: None, watch=partial(lab.exits.__setitem__, self.instance))
         graph, parameters = partial(self._endpoints, program), ProgramParameters(program, self.instance)
         program.values[self.instance] = {**program.own, **order.stated, **order.taken_over}
+        self.program_state = state = ProgramState(program, self.instance)
+        offered = (NamedServer("service", f"{order.node}/{name}", type_) for name, type_ in program.offers)
+        served = Served(servers=frozenset(offered))
         platform = RelayPlatform(
-            joined, lambda _: Text, lambda _: Read, lambda *_: graph(), parameters=lambda *_: parameters
+            joined,
+            lambda _: Text,
+            lambda _: Read,
+            lambda *_: graph(),
+            parameters=lambda *_: parameters,
+            state=lambda *_: OfferedState(self.instance, lambda: order.node, state, lambda: served),
         )
         super().__init__(order, running, platform)
         heard = lab.heard.setdefault(self.instance, [])
@@ -161,15 +199,14 @@ class SimulatedRelay(RelayComponent):
         super()._set_up(node)
 
     def _publish(self, host: Host, topic: str, qos: QoS, program: Program) -> None:
-        lab, publisher, written = SimulatedRelays.current, host.create_publisher(topic, Text, qos), 0
+        lab, publisher, state = SimulatedRelays.current, host.create_publisher(topic, Text, qos), self.program_state
         times = lab.written[self.instance] = []
 
         def write(first: int, last: int) -> None:
-            nonlocal written
-            if self.instance not in program.hung and written < program.most:
-                written += 1
+            if self.instance not in program.hung and state.count < program.most:
+                state.count += 1
                 times.append(lab.time.ros_now())
-                publisher.publish(Text(f"{self.instance} {written}"))
+                publisher.publish(Text(f"{self.instance} {state.count}"))
 
         def begin() -> None:
             """It goes on while its relay is frozen, or hangs."""

@@ -16,7 +16,7 @@ from msgspec import structs
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import CallTimeout, NodeError
 from midstride.foreign import own_node_search, relay_endpoints
-from midstride.foreign.graph_check import ENDPOINTS_TIMEOUT, GraphEndpoint
+from midstride.foreign.graph_check import ENDPOINTS_TIMEOUT, GraphEndpoint, NamedServer, Served
 from midstride.foreign.relay_endpoints import ADVERTISES, ProgramEndpoints
 from midstride.foreign.relayed_program import RelayOrder, private_topics
 from midstride.lang.load import load
@@ -258,3 +258,56 @@ def test_a_program_is_watched_until_it_has_published_behind_its_relay(tmp_path: 
         thread.join(60)
         assert not thread.is_alive()
     assert time.now > 60
+
+
+MAP = "nav_msgs/srv/GetMap"
+PRIVATE_MAP = "/_midstride/relay/throttle/map"
+
+
+@pytest.mark.parametrize(
+    ("served", "matched", "said"),
+    [
+        ([NamedServer("service", PRIVATE_MAP, MAP)], True, None),
+        ([NamedServer("service", PRIVATE_MAP, MAP)], False, "no request reaches map"),
+        ([], False, r"node /throttle does not serve service /_mid\S+/map, for server map of Throttle"),
+        (
+            [NamedServer("service", PRIVATE_MAP, "std_srvs/srv/Empty")],
+            False,
+            r"serves service \S+ of type std_srvs/srv/Empty, and server map of Throttle is declared as nav_msgs",
+        ),
+        *(
+            (
+                [NamedServer("service", name, MAP), NamedServer("service", PRIVATE_MAP, MAP)],
+                True,
+                rf"serves service {name} itself, for server map of Throttle; it takes no notice of the remapping `map:",
+            )
+            for name in ("/map", "/static_map")
+        ),
+    ],
+)
+def test_a_program_answers_by_its_relay_only(
+    served: list[NamedServer], matched: bool, said: str | None, tmp_path: Path, time: Time
+) -> None:
+    text = TEXT.replace("  output out", "  output out\n  server map", 1).replace("produces out", "produces out, map", 1)
+    text = text.replace("guarantee out", f"guarantee map : {MAP}  guarantee out", 1)
+    (tmp_path / "thinning.stride").write_text(text)
+    component = load(tmp_path / "thinning.stride").require().components["Throttle"]
+    made = endpoints(tmp_path, time, lambda _: [published(PRIVATE), subscribed("/chat")])
+    order = structs.replace(
+        made.order,
+        declaration=NamedComponentForm.of(component),
+        topics={"in": "/chat"} | private_topics(component, "throttle"),
+        real={"out": "/slow", "map": "/static_map"},
+    )
+    made = replace(
+        made,
+        order=order,
+        component=component,
+        matched={**made.matched, "map": lambda: matched},
+        served=lambda: Served(servers=frozenset(served)),
+    )
+    if said is None:
+        made.wait()
+    else:
+        with pytest.raises(NodeError, match=said):
+            made.wait()

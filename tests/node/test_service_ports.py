@@ -532,7 +532,7 @@ class Fibonacci:
 class Executing:
     """An action server that runs, in the mode ``normal``, which serves, or ``off``."""
 
-    def __init__(self, function: Callable[[Any], Any], accepts: Callable[[Any], bool] | None = None) -> None:
+    def __init__(self, function: Callable[[Any], Any], accepts: Callable[[Any], Any] | None = None) -> None:
         self.host = ServiceHost()
         comp = Component("Server")
         self.port = comp.create_action_server("count", Fibonacci, function, 0.5, accepts)
@@ -548,11 +548,19 @@ class Executing:
 
 
 def test_goals_are_rejected_in_a_mode_that_does_not_serve_and_where_the_author_says_so() -> None:
-    one, choosy = Executing(lambda goal: "done"), Executing(lambda goal: "done", accepts=lambda goal: goal != "no")
-    assert one.port.accepts("any") and one.port.cancels("any")
-    assert choosy.port.accepts("yes") and not choosy.port.accepts("no")
-    one.runner.enter_mode(1, "a test")
-    assert not one.port.accepts("any") and one.port.stays
+    async def scenario() -> None:
+        async def later(goal: Any) -> bool:
+            return str(goal) != "no"
+
+        one = Executing(lambda goal: "done")
+        assert await one.port.accepts("any") and await one.port.cancels("any")
+        for decides in (lambda goal: goal != "no"), later:
+            choosy = Executing(lambda goal: "done", accepts=decides)
+            assert await choosy.port.accepts("yes") and not await choosy.port.accepts("no")
+        one.runner.enter_mode(1, "a test")
+        assert not await one.port.accepts("any") and one.port.stays
+
+    asyncio.run(scenario())
 
 
 def test_a_goal_whose_execution_raises_degrades_the_functionality() -> None:

@@ -227,7 +227,7 @@ def test_between_the_api_and_a_node_without_it_both_answer() -> None:
     found, _ = what_ended("mapper", plain, known, planned=False, beside=own)
     assert "mapper and its replacement answered service /reset while both run" in found.words
     (found,) = what_ended("mapper", relayed, LastKnown(None, ()), planned=True, beside=relayed)
-    assert "each of the two answers the services that both have" in found.words
+    assert "each of the two answers the other services that both have" in found.words
 
 
 def test_a_component_with_the_api_may_write_on_its_topics_beside_a_node_without_it() -> None:
@@ -297,14 +297,28 @@ def test_a_plan_says_for_how_long_the_goals_of_a_server_with_the_api_go_on() -> 
     assert said("preload") == said(None, "stop") == []
 
 
-def test_no_state_moves_from_or_to_a_node_behind_a_relay() -> None:
-    def said(old: Gate, new: Gate) -> list[str]:
+def test_state_moves_between_two_with_an_agent_inside_or_two_without() -> None:
+    def said(old: Gate | None, new: Gate | None) -> list[str]:
         latest = LatestState(bare_state("a", node="/a", keeps_state=True), 0.0)
         found = planned_transfers(replacement(gate=old, new_gate=new), {"a": latest})
         return [each.words for each in found]
 
-    words = "the state of a: behind `gate relay`, no state moves, and it is not looked at whether the node offers any"
-    assert said("relay", "relay") == said("relay", "preload") == [words]
-    assert said("preload", "relay") == ["the state of a is lost: behind `gate relay`, no state moves"]
-    (words,) = said("preload", "preload")
-    assert "relay" not in words
+    pairs: list[tuple[Gate | None, Gate | None]] = [
+        ("relay", "relay"),
+        ("preload", "preload"),
+        ("lifecycle", "preload"),
+    ]
+    for old, new in [*pairs, (None, "relay"), ("relay", None)]:
+        (words,) = said(old, new)
+        assert words.startswith("while the state of a moves to ") and "requests to its services wait" in words
+    assert said(None, None) == []
+    paper = "; `--strategy paper` moves it"
+    others: list[tuple[Gate | None, Gate | None, tuple[str, str]]] = [
+        ("relay", "preload", ("has `gate relay`", "has `gate preload`")),
+        ("preload", None, ("has `gate preload`", "uses Midstride's API")),
+        (None, "none", ("uses Midstride's API", "has `gate none`")),
+    ]
+    for old, new, kinds in others:
+        (words,) = said(old, new)
+        assert words.startswith(f"the state of a is lost: a {kinds[0]}, and ") and words.endswith(paper)
+        assert f" {kinds[1]}, so neither waits for the other's state" in words

@@ -3,7 +3,7 @@
 PUBLIC = (
     "EXPORT_STATE ForeignAgent ForeignRecord GATES_FOLDER Gates GraphEndpoint IMPORT_STATE KILLED "
     "LifecycleManager LifecycleManagers LifecyclePeers NODE NODE_LOOK NamedServer NoAnswer NodeServices OUTPUT "
-    "OwnNodeSearch PAGE PRELOAD Page PagePort PortFlag RelayOrder RelayPlatform ReportedStates SEND_GOAL SERVER STATE "
-    "Served StartedPrograms StatePeers WRITES Within build differing endpoints_seconds kept_results of_services "
-    "of_topics order_file private_topics run_relay total typed"
+    "OfferedState OwnNodeSearch PAGE PRELOAD Page PagePort PortFlag RelayOrder RelayPlatform ReportedStates SEND_GOAL "
+    "SERVER STATE Served StartedPrograms StatePeers WRITES Within build differing endpoints_seconds kept_results "
+    "of_services of_topics order_file private_topics run_relay total typed"
 )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from midstride.foreign.graph_check import NamedServer, Served
 from midstride.model.component import ComponentSpec
+from midstride.model.graph_names import resolved
 from midstride.model.wording import KIND_WORDS
 
 
@@ -34,6 +35,23 @@ class DeclaredServers:
     def differences(self, served: Served) -> list[str]:
         """Each server that the node lacks, or has with another type, in words."""
         return list(self._differences(served))
+
+    def past_relay(self, real: Mapping[str, str], served: Served) -> list[str]:
+        """For each server that the node has past its relay, as it takes no notice of the name it was given, in words.
+
+        ``real``: by server that is attached, the name by which clients know it.
+        """
+        words = []
+        for port in self.ports:
+            given, own = self.topics[port], self.component.topic_of(port)
+            others = {resolved(own, self.node), real.get(port, given)} - {given}
+            kind = self.component.kind_of(port)
+            for server in sorted(each for each in served.servers if each.kind == kind and each.name in others):
+                words.append(
+                    f"node {self.node} serves {server} itself, for {KIND_WORDS[kind].output} {port} of "
+                    f"{self.component.name}; it takes no notice of the remapping `{own}:={given}`"
+                )
+        return words
 
     def _differences(self, served: Served) -> Iterator[str]:
         for port in self.ports:

@@ -26,11 +26,17 @@ class ImportRefused(CommandRefused):
     """The node has not imported the state, and will not."""
 
 
-class ForeignState:
-    """The state of ``node``, asked for by its ``services``. ``served``: what the graph shows of them now."""
+class OfferedState:
+    """The state of the node with the full name ``node()``, that of ``instance``, asked for by its ``services``.
 
-    def __init__(self, node: ForeignNode, services: StateAccess, served: Callable[[], Served]) -> None:
-        self.node = node
+    ``served``: what the graph shows of them now.
+    """
+
+    def __init__(
+        self, instance: str, node: Callable[[], str], services: StateAccess, served: Callable[[], Served]
+    ) -> None:
+        self.instance = instance
+        self._node = node
         self._services = services
         self._served = served
 
@@ -38,7 +44,7 @@ class ForeignState:
         """Return whether the node has a service, by what is ``served``; None: by what the graph shows now."""
         name, type_ = service
         found = self._served() if served is None else served
-        return NamedServer("service", f"{self.node.record.node}/{name}", type_) in found.servers
+        return NamedServer("service", f"{self._node()}/{name}", type_) in found.servers
 
     @property
     def exports(self) -> bool:
@@ -46,16 +52,20 @@ class ForeignState:
 
     async def require_import(self) -> None:
         """Raises CommandRefused where the node cannot import state: the graph does not show it within SHOWN seconds."""
-        if not await self.node.comes_true(lambda: self.offers(IMPORT_STATE), SHOWN, every=WATCH):
-            name, type_ = IMPORT_STATE
-            words = f"{self.node.record.instance} cannot import state"
-            raise ImportRefused(f"{words}: its node offers no service {self.node.record.node}/{name} ({type_})")
+        clock = asyncio.get_running_loop().time
+        deadline = clock() + SHOWN
+        while not self.offers(IMPORT_STATE):
+            if clock() >= deadline:
+                name, type_ = IMPORT_STATE
+                words = f"{self.instance} cannot import state"
+                raise ImportRefused(f"{words}: its node offers no service {self._node()}/{name} ({type_})")
+            await asyncio.sleep(WATCH)
 
     async def export(self, timeout: float) -> bytes:
         """The state. Raises CommandRefused where the node does not export it in ``timeout`` (s), and says why."""
         found = await self.exported(timeout)
         if found.state is None:
-            raise CommandRefused(f"{self.node.record.instance} has not exported its state: {found.lost}")
+            raise CommandRefused(f"{self.instance} has not exported its state: {found.lost}")
         return found.state
 
     async def exported(self, timeout: float) -> replies.ExportedState:
@@ -68,7 +78,7 @@ class ForeignState:
         except NoAnswer as error:
             return replies.ExportedState(state=None, lost=str(error))
         if isinstance(found, str):
-            raise CommandRefused(f"{self.node.record.instance} has not exported its state: {found}")
+            raise CommandRefused(f"{self.instance} has not exported its state: {found}")
         return replies.ExportedState(state=found)
 
     async def import_(self, state: bytes, timeout: float) -> None:
@@ -76,7 +86,7 @@ class ForeignState:
 
         Raises CommandRefused where it does not answer in ``timeout`` (s): it may import it yet.
         """
-        words = f"{self.node.record.instance} has not imported the state"
+        words = f"{self.instance} has not imported the state"
         try:
             await self.require_import()
             refused = await self._services.import_state(state, timeout)
@@ -84,6 +94,14 @@ class ForeignState:
             raise CommandRefused(f"{words}: {error}") from None
         if refused is not None:
             raise ImportRefused(f"{words}: {refused}")
+
+
+class ForeignState(OfferedState):
+    """The state of ``node``, whose agent is in the manager's process."""
+
+    def __init__(self, node: ForeignNode, services: StateAccess, served: Callable[[], Served]) -> None:
+        super().__init__(node.record.instance, lambda: node.record.node, services, served)
+        self.node = node
 
     async def import_once(self, state: bytes, timeout: float, exporter: str) -> None:
         """Import the ``state`` of the process ``exporter``, once, also where a manager dies meanwhile.

@@ -4,7 +4,8 @@ For programs that no library can be preloaded into. The program's outputs are re
 relay takes each message as bytes, and writes it on the real topic if its own gate is open. So the program cannot
 publish there, whatever it does, and to the manager the relay is a component as any other: with the agent, the gates,
 the counters, the agreed cuts and the local reflex of :mod:`midstride.node`. Inputs are not in its path: the program
-subscribes to the real topic, and the relay as well, to count what comes and to notice when it stays away.
+subscribes to the real topic, and the relay as well, to count what comes and to notice when it stays away. Servers are
+relayed as outputs are (:mod:`.relayed_servers`).
 
 The relay is the parent of the program. If the program ends, it ends; if it ends, the program does.
 """
@@ -26,14 +27,18 @@ from typing import Any, Final, NoReturn
 import msgspec
 
 from midstride.errors import MidstrideError, NodeError
+from midstride.foreign.foreign_state import OfferedState
 from midstride.foreign.gated_reflex import inputs_of
 from midstride.foreign.graph_check import GraphEndpoint, Served
 from midstride.foreign.lifecycle_transitions import ACTIVE
 from midstride.foreign.relay_agent import RelayAgent
 from midstride.foreign.relay_endpoints import ProgramEndpoints
+from midstride.foreign.relayed_actions import RelayedActionServer
 from midstride.foreign.relayed_lifecycle import RelayedLifecycle, followed
 from midstride.foreign.relayed_parameters import RelayedNode, RelayedParameters, RelayedRecord
 from midstride.foreign.relayed_program import KILLED, RelayedProgram, RelayOrder
+from midstride.foreign.relayed_servers import RelayedServer
+from midstride.foreign.relayed_state import RelayedState
 from midstride.foreign.services import NodeServices, ParameterAccess
 from midstride.model.component import ROS_PARAMETERS, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, QoS
@@ -43,7 +48,7 @@ from midstride.node.author.functionality import Functionality
 from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.modes import DeclaredMode
 from midstride.node.author.ports import Input, InputLink, Output
-from midstride.node.component_host import Host
+from midstride.node.component_host import Host, MessageInfo
 from midstride.node.loaded_program import ProgramFiles
 from midstride.node.process_context import ProcessContext, find
 from midstride.wire import replies
@@ -63,8 +68,10 @@ class RelayPlatform:
     BackendError where the graph cannot be read in time.
     ``decoder``: reads such messages of a type, of which only some are, and only where the contract constrains fields.
     ``advertises_late``: a program may create a publisher only when it has something to publish, so none is waited for.
+    ``service_type``: the class of a service or ROS action; None where no services can be ports.
     ``parameters``: reads and sets those of the program's node; called on the data thread. None where there are no such
     services.
+    ``state``: that of the program's node, where it offers any. None where there are no such services.
     ``nodes``: the full names of the nodes in an enclave; None where the platform has no enclaves.
     ``served``: what the graph shows of a node that others may rely on, and ``services``: what it can be asked, and
     whether its lifecycle state can be changed; called on the data thread. None where nodes have no lifecycle.
@@ -75,7 +82,9 @@ class RelayPlatform:
     decoder: Callable[[str], Callable[[Any], Any]]
     graph: Callable[[Host, RelayOrder], Sequence[GraphEndpoint] | None]
     advertises_late: bool = False
+    service_type: Callable[[str], type] | None = None
     parameters: Callable[[Host, RelayOrder], ParameterAccess] | None = None
+    state: Callable[[Host, RelayOrder], OfferedState] | None = None
     nodes: Callable[[Host, str], Sequence[str]] | None = None
     served: Callable[[Host, str], Served] | None = None
     services: Callable[[Host, str, bool], NodeServices] | None = None
@@ -100,6 +109,9 @@ class Relay:
     topic: str
     qos: QoS
     rated: bool
+    read_info: Callable[[Any], MessageInfo] | None = field(default=None, init=False)
+    # What was published before (ns, by the host's `message_now`) was with a state that the program has no more.
+    stale_before: int = field(default=0, init=False)
     # Of an output without a rate, the newest messages that have not been passed on: as many as late joiners shall have.
     waiting: deque[Any] = field(init=False)
 
@@ -108,6 +120,7 @@ class Relay:
 
     def subscribe(self, host: Host) -> None:
         """On the data thread."""
+        self.read_info = host.read_info
         link = InputLink(self.source, self.topic, MessageTimes(host.now))
         receive = self.source.receiver(link, host)
 
@@ -119,15 +132,35 @@ class Relay:
         self.source.links = (link,)
 
     def write(self, message: Any) -> None:
+        if self.stale_before and self._is_stale():
+            return
+        self._pass_on(message)
+
+    def _pass_on(self, message: Any) -> None:
         if any(each is message for each in self.waiting):
             while self.waiting.popleft() is not message:  # an earlier one is not written after it
                 pass
         self.output.write(message)
 
+    def _is_stale(self) -> bool:
+        """Return whether the message that its functionality is called with was published with another state."""
+        info = self.output.owner.info
+        published = None if info is None or self.read_info is None else self.read_info(info).source
+        if published is not None and published < self.stale_before:
+            return True
+        self.stale_before = 0
+        return False
+
+    def forget_kept(self) -> None:
+        """Repeat to nobody what has been published so far. On the data thread."""
+        self.waiting.clear()
+        for kept in (self.output.kept, *(link.kept for link in self.output.links)):
+            kept.clear()
+
     def write_waiting(self) -> None:
         """Write what was published once before the mode was entered, as a map that is latched."""
         for message in tuple(self.waiting):
-            self.write(message)
+            self._pass_on(message)
 
     @property
     def matched(self) -> bool:
@@ -163,14 +196,19 @@ class RelayComponent:
         self._lifecycle: RelayedLifecycle | None = None
         self.parts = DeclaredParts()
         self.relays: dict[str, Relay] = {}
+        self.servers: dict[str, RelayedServer | RelayedActionServer] = {}
         for name in component.input_order:
             assumed = component.inputs[name]
             received = Input(name, type_of(assumed.type), assumed, component.tolerates.get(name))
             received.decode = self._platform.decoder(assumed.type)
             self.parts.inputs[name] = received
         for name in component.outputs:
-            self.relays[name] = self._relay(name)
-            self.parts.outputs[name] = self.relays[name].output
+            if component.is_service(name):
+                self.servers[name] = self._server(name)
+                self.parts.outputs[name] = self.servers[name].port
+            else:
+                self.relays[name] = self._relay(name)
+                self.parts.outputs[name] = self.relays[name].output
         for functionality in component:
             self.parts.functionalities[functionality.name] = self._functionality(functionality)
         self.parts.callbacks.setup = self._set_up
@@ -196,6 +234,15 @@ class RelayComponent:
         source = Input(name, type_, Predicate(endpoint[0], None, deeper))
         return Relay(source, output, self.order.topics[name], deeper, rate is not None)
 
+    def _server(self, name: str) -> RelayedServer | RelayedActionServer:
+        if self._platform.service_type is None:
+            raise NodeError(f"{self.component.name} has the server {name}, and only ROS 2 has services as ports")
+        endpoint, best = self.component.output_endpoint(name), self.component.owner(name).modes[0].guarantee(name)
+        assert endpoint is not None  # a server without a type is an output
+        within = best.within if isinstance(best, Predicate) else None
+        kind = RelayedActionServer if self.component.kind_of(name) == "action" else RelayedServer
+        return kind(name, self._platform.service_type(endpoint[0]), self.order.topics[name], within)
+
     def _functionality(self, functionality: FunctionalitySpec) -> Functionality:
         inputs = tuple(self.parts.inputs[name] for name in functionality.inputs)
         outputs = tuple(self.parts.outputs[name] for name in functionality.outputs)
@@ -203,7 +250,7 @@ class RelayComponent:
         return RelayedFunctionality(functionality.name, inputs, outputs, modes)
 
     def _mode(self, functionality: FunctionalitySpec, mode: Mode) -> DeclaredMode:
-        relays = [self.relays[name] for name in functionality.outputs]
+        relays = [self.relays[name] for name in functionality.outputs if name in self.relays]
         if mode is functionality.modes[-1]:
             return DeclaredMode(mode.name, "none", lambda: None, None, (), (), {})
         assumptions = tuple(
@@ -222,7 +269,8 @@ class RelayComponent:
 
         handlers = tuple((relay.source, relay.write) for relay in relays)
         driven: Any = "message" if relays else "none"
-        outputs = tuple(relay.output for relay in relays)
+        serving = (name for name in functionality.outputs if name in self.servers and mode.guarantees.get(name))
+        outputs = (*(relay.output for relay in relays), *(self.servers[name].port for name in serving))
         return DeclaredMode(mode.name, driven, enter, None, assumptions, outputs, guarantees, handlers)
 
     def _set_up(self, _: object) -> None:
@@ -234,12 +282,24 @@ class RelayComponent:
                 self.order.write(self._path)
         for relay in self.relays.values():
             relay.subscribe(self.host)
+        for server in self.servers.values():
+            server.connect(self.host)
         self._follow(self.host)
         if self._platform.parameters is not None:
             assert self._agent is not None
             services = self._platform.parameters(self.host, self.order)
             self._agent.parameters = self._parameters_of(self.host, services)
         self._program_endpoints().wait()
+        self._keep_state(self.host)
+
+    def _keep_state(self, host: Host) -> None:
+        """Have the state of the program's node moved at cuts, where it offers any."""
+        if self._platform.state is None:
+            return
+        state = RelayedState(self._platform.state(host, self.order), tuple(self.relays.values()), host)
+        state.look()
+        assert self._agent is not None
+        self._agent.program_state = self.parts.callbacks.outside_state = state
 
     def _follow(self, host: Host) -> None:
         """Take a lifecycle node that another program manages to the state of the one that it replaces.
@@ -300,16 +360,18 @@ class RelayComponent:
         return before
 
     def _program_endpoints(self) -> ProgramEndpoints:
-        host, platform = self.host, self._platform
+        host, platform, served = self.host, self._platform, self._platform.served
         assert host is not None
+        passed: dict[str, Relay | RelayedServer | RelayedActionServer] = {**self.relays, **self.servers}
         return ProgramEndpoints(
             self.order,
             self.component,
             self.program,
             lambda: platform.graph(host, self.order),
-            {name: lambda relay=relay: relay.matched for name, relay in self.relays.items()},  # type: ignore[misc]
+            {name: lambda relay=relay: relay.matched for name, relay in passed.items()},  # type: ignore[misc]
             platform.advertises_late,
             (lambda: ()) if platform.nodes is None else partial(platform.nodes, host, self.order.enclave),
+            Served if served is None else lambda: served(host, self.order.node),
         )
 
     def run(self) -> None:
@@ -331,8 +393,10 @@ class RelayComponent:
             files,
             context.diagnostics,
             lifecycle=lifecycle,
+            patience=self.component.stop_times.patience,
+            servers=tuple(self.servers.values()),
         )
-        self.program.watch(agent.stop)
+        self.program.watch(agent.program_exited)
 
         def went_past(fault: str) -> None:
             self._fault = fault

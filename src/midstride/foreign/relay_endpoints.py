@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride.errors import BackendError, NodeError
-from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, endpoints_seconds
+from midstride.foreign.declared_servers import DeclaredServers
+from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, Served, endpoints_seconds
 from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
 from midstride.foreign.relayed_program import RelayedProgram, RelayOrder
 from midstride.model.component import ComponentSpec
@@ -25,8 +26,9 @@ class ProgramEndpoints:
     """The endpoints of the ``program`` of ``order``; ``graph`` shows them, or None while it shows no node of that name.
 
     ``graph`` may raise BackendError, and is then asked again. ``matched``: by output, whether its relay is connected
-    with a publisher of the program. ``late``: the program may create a publisher only when it has something to publish,
-    so none is waited for. ``nodes``: the full names of the nodes of a program that gives its node its name itself.
+    with a publisher of the program, or with its server. ``late``: the program may create a publisher only when it has
+    something to publish, so none is waited for. ``nodes``: the full names of the nodes of a program that gives its node
+    its name itself. ``served``: what the graph shows of the services of the node.
     """
 
     order: RelayOrder
@@ -36,6 +38,7 @@ class ProgramEndpoints:
     matched: Mapping[str, Callable[[], bool]]
     late: bool
     nodes: Callable[[], Sequence[str]] = tuple
+    served: Callable[[], Served] = Served
 
     def own_node(self) -> str:
         """Return the full name of the node that the program has named itself. Raises NodeError where it has none."""
@@ -111,8 +114,15 @@ class ProgramEndpoints:
     def _declared(self) -> DeclaredEndpoints:
         return DeclaredEndpoints(self.component, self.order.topics, self.order.node)
 
+    @property
+    def _servers(self) -> DeclaredServers:
+        return DeclaredServers(self.component, self.order.topics, self.order.node)
+
     def _past(self, found: Sequence[GraphEndpoint]) -> str:
-        return "; ".join(self._declared.past_relay(self.order.real, found))
+        past = self._declared.past_relay(self.order.real, found)
+        if self._servers.ports:
+            past += self._servers.past_relay(self.order.real, self.served())
+        return "; ".join(past)
 
     def _remapped(self, found: Sequence[GraphEndpoint]) -> bool:
         """Return whether every output is published on its private topic, so that the program follows remappings."""
@@ -138,12 +148,18 @@ class ProgramEndpoints:
         if found is None and (missing or self.late):
             return [self._without_node(f"no node {self.order.node}", "its name")]
         declared, shown = self._declared, found or ()
+        servers = [name for name in missing if self.component.is_service(name)]
+        missing = [name for name in missing if name not in servers]
         there = declared.unseen(shown, missing)
         waited = endpoints_seconds(self.component)
         faults = declared.lacking(shown, [port for port in missing if port not in there], waited)
         faults += declared.differences(shown)
+        if servers:
+            faults += self._servers.differences(self.served())
         if missing and not faults:
             faults = [f"the messages of {', '.join(missing)} cannot be received"]
+        if servers and not faults:
+            faults = [f"no request reaches {', '.join(servers)}"]
         return faults
 
     def _without_node(self, what: str, argument: str) -> str:

@@ -300,8 +300,8 @@ MODEL: Final = (
         "E027: gate that cannot work",
         """A component with a `gate`, whose program does not use Midstride's API, has no `run` command, an input that is
         a `condition`, or a mode between the first and the last that sets no parameter; with `gate lifecycle`, it has
-        several functionalities; with `gate relay`, an output for which no mode states a type, a server or a client; its
-        node attaches a port to several topics; or a component without a `gate` has a name for the topic of a port
+        several functionalities; with `gate relay`, an output for which no mode states a type, or a client; its node
+        attaches a port to several topics; or a component without a `gate` has a name for the topic of a port
         (`as`), a mode with parameters, a `lazy` output, or states how it is ended (`stop`); or one that cannot be a
         lifecycle node states how long it may take to `activate`; or a lifecycle manager of the system, such as Nav2's,
         has a node in its `node_names` that has `gate lifecycle`, so that two would manage it; or a composable node

@@ -77,13 +77,14 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
 
 
 def _services(component: ComponentSpec, path: SubjectPath) -> Iterator[Problem]:
-    """Yield the servers and clients of a program behind a relay, which passes on messages only."""
+    """Yield the clients of a program behind a relay: what it calls passes the relay by."""
     if component.run is None or component.gate != "relay":
         return
     for port in component.service_ports():
-        output = component.has_output(port)
-        where = (*path, "outputs", str(component.outputs.index(port))) if output else (*path, "inputs", port)
-        because = f"{component.name} uses `gate relay`, which passes messages on"
+        if component.has_output(port):
+            continue
+        where = (*path, "inputs", port)
+        because = f"{component.name} uses `gate relay`, which passes on its messages and its answers, and not its calls"
         message = f"{component.port_in_words(port)} cannot be declared yet: {because}"
         help = 'state another gate (`run "…" gate preload`), or omit it and state `allows`'
         yield Problem(_CODE, where, message, help)
@@ -146,12 +147,15 @@ def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         help = "state no more than `stop patience`; `on_stop(…, timeout=…)` in its code says how long the rest may take"
         yield Problem(_CODE, (*path, "stop_seconds"), message, help)
     elif component.stop is not None and component.gate is not None and not component.loads_library:
+        with_goals = component.gate == "relay" and any(
+            component.kind_of(port) == "action" for port in component.outputs
+        )
         for key, stated, usual, what in (
             ("drain", component.stop.drain, DEFAULT_STOP.drain, "answers requests that it has taken"),
             ("patience", component.stop.patience, DEFAULT_STOP.patience, "goes on with the goals of its ROS actions"),
         ):
-            if stated != usual:
-                message = f"{name} states for how long it {what}, and nothing sees its requests"
+            if stated != usual and not (key == "patience" and with_goals):
+                message = f"{name} states for how long it {what}, and only the preloaded library keeps to that"
                 help = f'omit `{key}`, or have the library preloaded: `run "…" gate preload`'
                 yield Problem(_CODE, (*path, "stop_seconds", key), message, help)
     if component.activate_seconds is not None and component.gate is None:

@@ -27,7 +27,7 @@ def with_time_for_goals(plan: Plan, serving: Collection[str] = ()) -> Plan:
                 old = change.component_of(name)
                 serves = name in serving or any(old.kind_of(port) == "action" for port in old.outputs)
                 after = change.component_of(new)
-                one_kind = (old.preloads and after.preloads) or old.gate is after.gate is None
+                one_kind = (old.preloads and after.preloads) or (old.has_agent and after.has_agent)
                 if serves and one_kind:
                     found = change.estimate_of(step.action).at_most(_longest(old))
                     steps[index] = replace(step, between=found.between)

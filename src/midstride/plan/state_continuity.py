@@ -54,6 +54,8 @@ def with_time_for_state(plan: Plan, keeping: Collection[str]) -> Plan:
 
 
 def _moves(change: Change, old: str, new: str) -> bool:
-    """Return whether state can move between the two at a cut: they are of one kind, and neither is behind a relay."""
-    gates = [change.component_of(name).gate for name in (old, new)]
-    return gates == [None, None] or all(gate is not None and gate not in ("relay", "none") for gate in gates)
+    """Return whether state can move between the two at a cut: both have an agent inside, or neither, and a gate."""
+    components = [change.component_of(name) for name in (old, new)]
+    if any(each.has_agent for each in components):
+        return all(each.has_agent for each in components)
+    return all(each.gate != "none" for each in components)

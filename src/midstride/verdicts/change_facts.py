@@ -372,14 +372,6 @@ def state_left_behind(old: str, new: str, because: str) -> Assessment:
     return Assessment(new, "lost", f"the state of {old} is lost: {because}")
 
 
-def state_behind_relay(old: str, new: str) -> Assessment:
-    """No state moves from a node behind a relay, of which it is not known whether it offers any."""
-    words = (
-        f"the state of {old}: behind `gate relay`, no state moves, and it is not looked at whether the node offers any"
-    )
-    return Assessment(new, "not_measurable", words)
-
-
 def was_silent_for_state(new: str, words: str, seconds: float) -> Assessment:
     """The state of a node without Midstride's API has moved, and nothing was published for so many ``seconds``."""
     return Assessment(new, "lost", words, seconds=seconds)

@@ -200,7 +200,7 @@ class SimulatedActionServer(RetiringServer[GoalAnswers]):
     async def accept(self, entry: SimulatedRequest) -> None:
         end = self.end
         end.network.observer.on_executed(entry, end.owner)
-        accepted = not self.retired and self.answer.accepts(copied(entry.request.goal))
+        accepted = not self.retired and await self.answer.accepts(copied(entry.request.goal))
         end.network.respond(entry, end.owner, SimpleNamespace(accepted=accepted))
         if accepted:
             goal = self._goals[entry.identity] = SimulatedGoal(self, entry)
@@ -239,7 +239,7 @@ class SimulatedActionServer(RetiringServer[GoalAnswers]):
             self.end.network.observer.on_executed(entry, self.end.owner)
         about = MANY if entry is None else entry.request
         found = [goal for name, goal in self._goals.items() if about in (MANY, name)]
-        cancelled = [goal for goal in found if goal.is_active and self.answer.cancels(goal)]
+        cancelled = [goal for goal in found if goal.is_active and await self.answer.cancels(goal)]
         for goal in cancelled:
             goal.is_cancel_requested = True
         code = 0 if cancelled else REJECTED if found or about == MANY else UNKNOWN_GOAL

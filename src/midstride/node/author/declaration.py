@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from immutables import Map
 
@@ -20,6 +20,24 @@ from midstride.node.author.ports import Input, Output
 from midstride.node.author.service_ports import ClientPort, ServerPort
 from midstride.wire import replies
 from midstride.wire.commands import SetParametersCommand
+
+
+class OutsideState(Protocol):
+    """The state of a program outside, which the component passes on (:mod:`midstride.foreign.relayed_state`).
+
+    On the control thread. Each method raises CommandRefused where the program does not do it, and says why.
+    """
+
+    exports: bool
+
+    async def require_import(self) -> None:
+        """Look whether the program imports state."""
+
+    async def exported(self, timeout: float) -> replies.ExportedState:
+        """The state, or that the program has not answered in ``timeout`` (s)."""
+
+    async def import_(self, state: bytes, timeout: float) -> None:
+        """Have the program take over ``state``, in ``timeout`` (s)."""
 
 
 @dataclass(slots=True)
@@ -37,6 +55,8 @@ class Callbacks:
     before_modes: Callable[[Mapping[str, str]], Awaitable[None]] | None = None
     # Sets parameters where they are not the component's own. On the control thread; raises CommandRefused.
     set_parameters: Callable[[SetParametersCommand], Awaitable[replies.PreviousParameters]] | None = None
+    # The state, where it is not the component's own.
+    outside_state: OutsideState | None = None
 
 
 @dataclass(frozen=True, slots=True)

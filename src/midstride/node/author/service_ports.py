@@ -12,7 +12,7 @@ import asyncio
 import inspect
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, Final, TypeAlias
@@ -246,8 +246,8 @@ class ActionServerPort(ServerPort):
         type_: type,
         function: Callable[[Any], Any],
         within: float | None,
-        accepts: Callable[[Any], bool] | None,
-        cancels: Callable[[Any], bool] | None,
+        accepts: Callable[[Any], bool | Awaitable[bool]] | None,
+        cancels: Callable[[Any], bool | Awaitable[bool]] | None,
     ) -> None:
         super().__init__(name, type_, lambda request, response: None, within, None)
         self._execute = function
@@ -264,13 +264,13 @@ class ActionServerPort(ServerPort):
     def stays(self) -> bool:
         return True
 
-    def accepts(self, goal: Any) -> bool:
+    async def accepts(self, goal: Any) -> bool:
         """Return whether to accept ``goal``, a request for one: never in a mode that does not serve."""
-        return self.serving and (self._accepts is None or bool(self._accepts(goal)))
+        return self.serving and await _decided(self._accepts, goal)
 
-    def cancels(self, goal: Any) -> bool:
+    async def cancels(self, goal: Any) -> bool:
         """Return whether to cancel a goal that is being executed."""
-        return self._cancels is None or bool(self._cancels(goal))
+        return await _decided(self._cancels, goal)
 
     async def execute(self, goal: Any) -> Any:
         """The result of an accepted goal. Raises what the function raises, which aborts the goal."""
@@ -281,6 +281,14 @@ class ActionServerPort(ServerPort):
         except Exception as error:
             self.failed(self, entered, error)
             raise
+
+
+async def _decided(function: Callable[[Any], Any] | None, goal: Any) -> bool:
+    """Return what ``function`` decides, which may be async: where there is none, True."""
+    if function is None:
+        return True
+    found = function(goal)
+    return bool(await found if inspect.isawaitable(found) else found)
 
 
 class ClientLink(InputLink):

@@ -325,7 +325,7 @@ class CommandHandlers:
             imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: json_value(each.declared) for each in parameters if _is_shown(each) and each.is_set},
-            keeps_state=self.parts.callbacks.export_state is not None,
+            keeps_state=self._hooks.exports(to_changes=False) != "nothing",
             unfinished=self.unfinished,
             goals=self.host.admission.goals.counts,
             host=THIS_HOST,
@@ -474,7 +474,7 @@ class CommandHandlers:
         return await self._data.run(set_all, command.timeout)
 
     async def _export_state(self, command: commands.ExportStateCommand) -> replies.ExportedState:
-        return replies.ExportedState(state=await self._hooks.export(command.timeout))
+        return await self._hooks.exported(command.timeout)
 
     async def _import_state(self, command: commands.ImportStateCommand) -> replies.Done:
         await self._hooks.import_(command.state, command.timeout, exporter=command.exporter)

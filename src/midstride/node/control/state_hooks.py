@@ -10,6 +10,7 @@ from midstride.errors import CommandRefused
 from midstride.node.author.declaration import Callbacks
 from midstride.node.data.functionality_runner import CAUGHT, format_error
 from midstride.node.data.mode_switch import DataExecutor
+from midstride.wire import replies
 
 T = TypeVar("T")
 
@@ -21,9 +22,12 @@ class StateHooks:
     callbacks: Callbacks
     data: DataExecutor
     _imported: str = field(default="", init=False)  # whose state
+    _asked: str = field(default="", init=False)  # whose state a program outside has been asked to import
 
     def exports(self, to_changes: bool) -> Literal["nothing", "whole", "changes"]:
         """The export at a cut to a component that can, or cannot, import changes."""
+        if (outside := self.callbacks.outside_state) is not None:
+            return "whole" if outside.exports else "nothing"
         if self.callbacks.export_state is None:
             return "nothing"
         return "changes" if to_changes and self.callbacks.export_changes is not None else "whole"
@@ -34,6 +38,11 @@ class StateHooks:
 
     async def export(self, timeout: float, changes: bool = False) -> bytes | None:
         """The state, or what has changed since it was exported; None where the component keeps none."""
+        if self.callbacks.outside_state is not None:
+            found = await self.exported(timeout)
+            if found.lost is not None:
+                raise CommandRefused(f"the state has not been exported: {found.lost}")
+            return found.state
         export = self.callbacks.export_changes if changes else self.callbacks.export_state
         if export is None:
             return None
@@ -43,9 +52,17 @@ class StateHooks:
             raise CommandRefused(f"{what} returned {type(state).__name__}, not bytes")
         return bytes(state)
 
-    def check_import(self) -> None:
+    async def exported(self, timeout: float) -> replies.ExportedState:
+        """The state of a component that is to end; it is lost where a program outside does not answer."""
+        if (outside := self.callbacks.outside_state) is not None and outside.exports:
+            return await outside.exported(timeout)
+        return replies.ExportedState(state=None if outside is not None else await self.export(timeout))
+
+    async def check_import(self) -> None:
         """Raises CommandRefused where the component cannot import state."""
-        if self.callbacks.import_state is None:
+        if (outside := self.callbacks.outside_state) is not None:
+            await outside.require_import()
+        elif self.callbacks.import_state is None:
             raise CommandRefused("the component cannot import state: it has no on_import_state")
 
     async def import_(self, state: bytes, timeout: float, changes: bool = False, exporter: str = "") -> None:
@@ -54,7 +71,18 @@ class StateHooks:
         A manager cannot know whether its last one has had it imported. That may not have ended, so it is looked up
         on the data thread.
         """
-        self.check_import()
+        await self.check_import()
+        if (outside := self.callbacks.outside_state) is not None:
+            if not exporter or exporter != self._imported:
+                if exporter and exporter == self._asked:
+                    raise CommandRefused(
+                        "it was asked to import this state before, and has not done so; it may do so yet, so it is not "
+                        "asked again"
+                    )
+                self._asked = exporter
+                await outside.import_(state, timeout)
+                self._imported = exporter
+            return
         hook = self.callbacks.import_changes if changes else self.callbacks.import_state
         assert hook is not None
 

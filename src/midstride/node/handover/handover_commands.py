@@ -288,7 +288,7 @@ class HandoverCommands:
             return replies.StateOffer(exports="changes")
         offered = await self._ask(command, commands.OfferStateCommand(changes=self.hooks.imports_changes))
         if offered.has_state:
-            self.hooks.check_import()
+            await self.hooks.check_import()
         return offered
 
     async def offer_state(self, command: commands.OfferStateCommand) -> replies.StateOffer:

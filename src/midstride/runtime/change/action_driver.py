@@ -202,8 +202,8 @@ class ActionDriver:
         """
         if instance.component.once and self.rolling_back:
             return False
-        # One that gets state first answers what it has held with that; no agent of a node without the API waits so.
-        imports = instance.component.gate is None and instance.role in self.system.exported
+        # One that gets state first answers what it has held with that; agents in the manager's process do not wait so.
+        imports = instance.component.has_agent and instance.role in self.system.exported
         standby, topics = imports or self.system.has_instance(instance.role), self._topics(instance)
         await self.change.parameters.ask(instance)
         start_values = self.change.parameters.start_values

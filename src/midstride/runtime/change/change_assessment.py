@@ -12,7 +12,7 @@ from midstride.model.configuration import Configuration
 from midstride.plan.expected_losses import planned_instances, unmeasured_pair
 from midstride.plan.plan import Plan
 from midstride.runtime.change.lost_endpoints import endpoints_that_ended
-from midstride.runtime.change.planned_transfers import silences_for_state, states_behind_relays
+from midstride.runtime.change.planned_transfers import silences_for_state
 from midstride.runtime.change.successor_names import names_now
 from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
@@ -45,7 +45,6 @@ def change_assessment(
             *(each for each in at_outputs if each.verdict != "lost" or each.at_most or not lowered),
             *_exchanged(plan, outcome),
             *silences_for_state(outcome, now),
-            *(states_behind_relays(plan) if outcome.outcome == "done" else ()),
             *endpoints_that_ended(plan, last_known, states, _together(plan, outcome)),
             *names_now(plan, states, {time.step: time for time in outcome.steps if outcome.outcome == "done"}),
             *ended,

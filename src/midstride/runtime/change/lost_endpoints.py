@@ -55,12 +55,12 @@ def lost_endpoints(
 def _goals_of_ports(
     plan: Plan, name: str, component: ComponentSpec, beside: ComponentSpec | None
 ) -> Iterator[Assessment]:
-    """The ROS actions whose servers are ports of the instance ``name``, where it has the API and its successor too.
+    """The ROS actions whose servers are ports of the instance ``name``, where both have the API, or a relay.
 
     A stand-in, which the plan itself creates, has accepted none when it is planned.
     """
     start = plan.change.start
-    if name in start.instances and component.gate is None and beside is not None and beside.gate is None:
+    if name in start.instances and component.has_agent and beside is not None and beside.has_agent:
         attached = start.attached_ports(name)
         kinds = {port: component.kind_of(port) for port in component.outputs}
         if actions := sorted(f"{ACTION}{served}" for port, served in attached if kinds.get(port.port) == "action"):
@@ -131,10 +131,10 @@ def what_ended(
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
-        because = "it is behind a relay, which passes on messages, and no requests"
+        because = "it is behind a relay, which passes on messages, and what the servers that are declared are asked"
         if beside is not None:
             verb, may = ("answers", "may be") if planned else ("answered", "may have been")
-            because += f"; each of the two {verb} the services that both have, so that a request {may} handled twice"
+            because += f"; each of the two {verb} the other services that both have, so a request {may} handled twice"
         yield change_facts.not_looked_at(name, because)
     elif component.gate is not None and not component.once and (state is None or not state.looked):
         yield change_facts.not_looked_at(name, new)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from midstride.model.action import Create, Handover, Remove
+from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration
 from midstride.model.specification import handover_seconds
 from midstride.plan.plan import Plan
@@ -35,37 +36,29 @@ def planned_transfers(plan: Plan, states: Mapping[str, LatestState]) -> Iterator
             case Remove(name) if change.replaced.get(name) not in created:
                 removed_first.add(name)
     swaps = [swap for step in plan.steps if isinstance(step.action, Handover) for swap in step.action.swaps]
-    yield from states_behind_relays(plan)
     connectors = {**change.start.context.connectors, **change.target.connectors}
     for old, new in change.replaced.items():
         latest = states.get(old)
         before, after = change.component_of(old), change.component_of(new)
-        kinds = {before.gate is None, after.gate is None}
-        if before.gate == "relay":  # which answers for its program, and not of its state
-            continue
-        if latest is None or not latest.state.keeps_state or kinds == {True}:
+        kinds = {before.has_agent, after.has_agent}
+        own_code = before.gate is after.gate is None  # which is held at a slot
+        if latest is None or not latest.state.keeps_state or own_code or old in removed_first:
             continue
         if len(kinds) == 2:
-            because = f"one of {old} and {new} uses Midstride's API, and the other one does not"
-            yield change_facts.state_left_behind(old, new, because)
-        elif after.gate == "relay":
-            yield change_facts.state_left_behind(old, new, "behind `gate relay`, no state moves")
-        elif old not in removed_first and "none" in (before.gate, after.gate):
+            because = f"{old} {_kind(before)}, and {new} {_kind(after)}, so neither waits for the other's state"
+            yield change_facts.state_left_behind(old, new, f"{because}; `--strategy paper` moves it")
+        elif "none" in (before.gate, after.gate):
             because = "with `gate none`, nothing holds a node back while its state moves; `--strategy paper` moves it"
             yield change_facts.state_left_behind(old, new, because)
-        elif old not in removed_first:
+        else:
             own = {connectors[swap.connector] for swap in swaps if swap.old.instance == old}
             topics = sorted(each.topic for each in own if each.kind == "topic")
             longest = handover_seconds(change.target.timing, "state_timeout")
             yield change_facts.silent_for_state(old, new, topics, longest)
 
 
-def states_behind_relays(plan: Plan) -> Iterator[Assessment]:
-    """The nodes behind a relay that ``plan`` replaces, or has replaced: if they have state, it does not move."""
-    for old, new in plan.change.replaced.items():
-        before = plan.change.component_of(old)
-        if before.gate == "relay" and not before.once:
-            yield change_facts.state_behind_relay(old, new)
+def _kind(component: ComponentSpec) -> str:
+    return "uses Midstride's API" if component.gate is None else f"has `gate {component.gate}`"
 
 
 def silences_for_state(outcome: Outcome, now: Configuration) -> Iterator[Assessment]:

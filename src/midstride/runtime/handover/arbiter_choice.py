@@ -62,17 +62,17 @@ def choose_arbiter(component: Callable[[str], ComponentSpec], old: str, new: str
 def require_answering(configuration: Configuration, swap: Swap) -> None:
     """Raises StepFailed where requests to the service or ROS action of ``swap`` cannot be handed over.
 
-    Components with the API have each request answered by one of the instances of a node, and so has the preloaded
-    library (docs/protocols/services.md).
+    Components with the API, and relays, have each request answered by one of the instances of a node, and so has the
+    preloaded library (docs/protocols/services.md).
     """
     old, new = swap.old.instance, swap.new.instance
     components = {name: configuration.component(name) for name in (old, new)}
     words = f"{old} cannot hand over {swap.connector} to {new}"
-    if any(each.gate is not None for each in components.values()):
+    if not all(each.has_agent for each in components.values()):
         both = "so both would answer requests while both run"
         if (own := next((name for name, each in components.items() if each.gate is None), None)) is not None:
             how = f"{own} uses Midstride's API, and the other one does not, {both}"
-            raise StepFailed(f"{words}: {how}; use `--strategy paper`")
+            raise StepFailed(f"{words}: {how}; use `gate relay` for that one, or `--strategy paper`")
         if (loose := next((name for name, each in components.items() if not each.loads_library), None)) is not None:
             how = f"{loose} has `gate {components[loose].gate}`, {both}"
             raise StepFailed(f"{words}: {how}; use `gate preload`, or `--strategy paper`")

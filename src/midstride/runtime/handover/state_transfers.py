@@ -137,7 +137,7 @@ class StateTransfers:
                 order_only=order_only,
             )
         if not offer.has_state and old in self.keeping:
-            self.note_own_state(old, new, "one of the two does not use Midstride's API")
+            self.note_own_state(old, new, "the two have different kinds of gate")
 
     def note_own_state(self, old: str, new: str, because: str) -> None:
         self.own_state[new] = own_state(old, new, because, self._bulks.get(new))

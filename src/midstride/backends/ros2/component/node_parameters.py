@@ -24,6 +24,8 @@ _OF_ROS: Final = frozenset({"/parameter_events", "/rosout", "/clock"})
 _SERVICES_OF_ROS: Final = ("/get_type_description",)
 # The topic that each end of a ROS action has.
 _ACTION_STATUS: Final = "/_action/status"
+# How the names begin that a program has behind its relay, which is the client there.
+_PRIVATE: Final = "/_midstride/"
 
 
 class Ros2NodeParameters:
@@ -123,7 +125,8 @@ def _actions(node: Any, control: str, rmw: RmwImplementation) -> Iterator[tuple[
     The graph knows them, for rclpy keeps no list. One's own ends are in it at once. Another node may have the same
     name, so they are recognized by the process; where that is unknown, by the name if no other node has it.
     """
-    status_topics = [topic for topic, _ in node.get_topic_names_and_types() if topic.endswith(_ACTION_STATUS)]
+    topics = (topic for topic, _ in node.get_topic_names_and_types())
+    status_topics = [topic for topic in topics if topic.endswith(_ACTION_STATUS) and not topic.startswith(_PRIVATE)]
     if not status_topics:
         return  # every node is among the publishers of the next line
     own: set[bytes | str | None] = {

@@ -91,13 +91,17 @@ class RosActionServer(RetiringServer[GoalAnswers]):
             name,
             self._execute,
             callback_group=group,
-            goal_callback=lambda goal: GoalResponse.ACCEPT if self._accepts(goal) else GoalResponse.REJECT,
-            cancel_callback=lambda goal: CancelResponse.ACCEPT if self.answer.cancels(goal) else CancelResponse.REJECT,
+            goal_callback=self._accepts,
+            cancel_callback=self._cancels,
         )
         self.service.timed_as = name
 
-    def _accepts(self, goal: Any) -> bool:
-        return not self.retired and self.answer.accepts(goal)
+    async def _accepts(self, goal: Any) -> GoalResponse:
+        accepted = not self.retired and await self.answer.accepts(goal)
+        return GoalResponse.ACCEPT if accepted else GoalResponse.REJECT
+
+    async def _cancels(self, goal: Any) -> CancelResponse:
+        return CancelResponse.ACCEPT if await self.answer.cancels(goal) else CancelResponse.REJECT
 
     async def _execute(self, goal: Any) -> Any:
         return await self._in_time(self.answer.execute(goal))

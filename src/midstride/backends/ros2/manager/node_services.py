@@ -11,6 +11,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces import srv as parameter_srv
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
+from rclpy.exceptions import InvalidHandle
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message
 
@@ -39,6 +40,8 @@ _TYPES: Final[Mapping[str, Any]] = {
         )
     ),
     _SETTING[1]: _SETTING[0],
+    EXPORT_STATE[0]: parameter_srv.GetParameters,
+    IMPORT_STATE[0]: parameter_srv.SetParameters,
 }
 _TRANSITIONS: Final = {"configure": 1, "cleanup": 2, "activate": 3, "deactivate": 4, "shutdown": 5}
 
@@ -68,6 +71,13 @@ class RosNodeServices:
             name = f"{self._name}/{service}"
             self._clients[service] = self._node.create_client(_TYPES[service], name, callback_group=self._group)
         return list(self._clients.values())
+
+    def is_ready(self, service: str) -> bool:
+        """Return whether a server of ``service`` has been discovered, of which there is a client."""
+        try:
+            return bool(self._clients[service].service_is_ready())
+        except InvalidHandle:  # it ends
+            return False
 
     def close(self) -> None:
         for client in self._clients.values():

@@ -23,6 +23,10 @@ from midstride.runtime.backend_protocol import Launch
 
 ENV_PAGE: Final = "MIDSTRIDE_GATE_PAGE"
 ENV_NODE: Final = "MIDSTRIDE_GATE_NODE"
+# The services and topics of a ROS action, behind its name.
+_PARTS_OF_ACTION: Final = tuple(
+    f"/_action/{x}" for x in ("send_goal", "cancel_goal", "get_result", "feedback", "status")
+)
 # Of what is only described, instead of a number or a name that is made when the process is started.
 GIVEN_AT_THE_START: Final = "(given at the start)"
 
@@ -138,5 +142,12 @@ def ros_arguments(
 
 def _remaps(launch: Launch, component: ComponentSpec) -> list[str]:
     """The rules by which the topics of the ports get their names."""
-    named = ((component.topic_of(port), topic) for port, topic in launch.topics.items())
-    return [f"{own}:={topic}" for own, topic in named if own != topic]
+    named = ((port, component.topic_of(port), topic) for port, topic in launch.topics.items())
+    found: list[str] = []
+    for port, own, topic in named:
+        if own == topic:
+            continue
+        found.append(f"{own}:={topic}")
+        if component.kind_of(port) == "action":  # of which rcl remaps the parts, and not the name
+            found += [f"{own}{part}:={topic}{part}" for part in _PARTS_OF_ACTION]
+    return found
