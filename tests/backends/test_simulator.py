@@ -26,6 +26,7 @@ from midstride.backends.simulator import (
     virtual_loop,
 )
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
+from midstride.model.component import KILL_AT_ONCE, StopTimes
 from midstride.runtime.backend_protocol import Exited, Launch
 from midstride.wire.frames import Reply
 from tests.conformance import puppets
@@ -538,3 +539,50 @@ comp.start()
         assert await lab.received("sink") == ["first", "first"]
 
     in_lab(tmp_path, main)
+
+
+# -- containers ------------------------------------------------------------------------------------
+
+
+async def in_box(lab: Lab, *names: str) -> None:
+    for name in names:
+        await lab.launch(name, puppets.talker(), process="" if name == "apart" else "box")
+        await lab.registered(name)
+
+
+def test_a_crash_in_a_container_is_a_crash_of_all_its_components(tmp_path: Path) -> None:
+    async def main(lab: Lab) -> None:
+        await in_box(lab, "one", "two", "three", "apart")
+        simulator.faults.kill("one")
+        statuses = {name: (await lab.exited(name)).status for name in ("one", "two", "three")}
+        assert statuses == {"one": -9, "two": -9, "three": -9}
+        assert list(simulator.processes) == ["apart"]
+
+    simulator = Simulator()
+
+    async def opened() -> None:
+        async with Lab(simulator, tmp_path) as lab:
+            await main(lab)
+
+    simulator.run(opened())
+
+
+def test_one_leaves_a_container_that_goes_on_or_ends_with_it(tmp_path: Path) -> None:
+    async def main(lab: Lab) -> None:
+        await in_box(lab, "one", "two", "three")
+        assert await simulator.end("one", StopTimes(0.0, 3.0)) == []
+        assert sorted(simulator.processes) == ["three", "two"], "it is unloaded"
+        simulator.faults.freeze("two", 60.0)
+        assert simulator.is_stopped("three"), "they are one process"
+        with pytest.raises(BackendError, match="two goes on in box: it can only end with three"):
+            await simulator.end("two", StopTimes(0.0, 3.0))
+        await simulator.end("two", KILL_AT_ONCE)
+        assert (await lab.exited("three")).status == -9
+
+    simulator = Simulator()
+
+    async def opened() -> None:
+        async with Lab(simulator, tmp_path) as lab:
+            await main(lab)
+
+    simulator.run(opened())

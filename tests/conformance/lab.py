@@ -60,11 +60,24 @@ class Lab:
 
     # -- processes ---------------------------------------------------------------------------------
 
-    async def launch(self, instance: str, description: Description, replaces: str = "", **parameters: object) -> Handle:
-        """Start a puppet without waiting for it. ``replaces``: the instance that answers requests until then."""
+    async def launch(
+        self, instance: str, description: Description, replaces: str = "", process: str = "", **parameters: object
+    ) -> Handle:
+        """Start a puppet without waiting for it. ``replaces``: the instance that answers requests until then.
+
+        ``process``: the process of a container that it shares with others, where there are such.
+        """
         arguments = command_of(sys.executable, description)
         launch = Launch(
-            instance, "", arguments, TOKEN, self._workspace, parameters, node=replaces, standby=bool(replaces)
+            instance,
+            "",
+            arguments,
+            TOKEN,
+            self._workspace,
+            parameters,
+            node=replaces,
+            standby=bool(replaces),
+            process=process,
         )
         handle = await self.backend.start(launch)
         self.handles[instance] = handle
@@ -74,7 +87,7 @@ class Lab:
         self, instance: str, description: Description, replaces: str = "", **parameters: object
     ) -> Registration:
         """Start a puppet, and welcome it once it has registered."""
-        await self.launch(instance, description, replaces, **parameters)
+        await self.launch(instance, description, replaces, "", **parameters)
         _, registration = await self.registered(instance)
         await self.welcome(instance)
         return registration

@@ -131,8 +131,7 @@ def test_a_node_that_cannot_start_keeps_the_others_of_its_container_away_for_one
     async def body(manager: Manager, simulator: Simulator) -> None:
         program.write_text("raise SystemExit(3)")
         begun = simulator.time.steady()
-        simulator.faults.kill("talker")
-        simulator.faults.kill("listener")
+        simulator.faults.kill("talker")  # and the listener with it
         await until(lambda: not manager.configuration.instances)
         await until(lambda: "listener" in manager.configuration.instances)
         assert simulator.time.steady() - begun < 5

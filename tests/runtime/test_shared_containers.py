@@ -45,7 +45,9 @@ class Grouped(Simulator):
         self.groups[launch.instance] = launch.process
         if launch.process:
             self.loading.add(launch.instance)
-        return await super().start(launch)
+        handle = await super().start(launch)
+        self.processes[launch.instance].shares = ""  # what ends together is decided here, also while nodes are loaded
+        return handle
 
     def reported(self, state: ComponentState) -> None:
         self.loading.discard(state.instance)

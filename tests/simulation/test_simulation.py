@@ -118,3 +118,40 @@ def test_services_and_actions_of_a_specification_are_simulated() -> None:
         summary.add(run)
     assert not summary.failed, "\n".join(f"{run.seed}: {'; '.join(run.problems)}" for run in summary.failed)
     assert "done" in summary.outcomes
+
+
+def test_a_container_of_a_specification_is_simulated() -> None:
+    """A crash of one of its nodes is a crash of all: each seed must bring all of them back."""
+    text = """
+        system grouped
+        topic /a : std_msgs/msg/String @ 10 Hz
+        topic /b : std_msgs/msg/String @ 10 Hz
+        container box { run "component_container_mt" }
+        component Talker {
+          run component "demo::Talker" package "demo" gate preload
+          output out as chatter
+          functionality talk {
+            produces out
+            mode normal { guarantee out : std_msgs/msg/String @ 10 Hz }
+            mode off { }
+          }
+        }
+        component Hearer {
+          run component "demo::Hearer" package "demo" gate preload
+          input in : std_msgs/msg/String @ 10 Hz as chatter
+          functionality hear { uses in  mode normal { assume in }  mode off { } }
+        }
+        node one   : Talker in box { out -> /a }
+        node other : Talker in box { out -> /b }
+        node hears : Hearer in box { in <- /a }
+        node apart : Hearer { in <- /b }
+    """
+    specification = load_text(text).require()
+    for restart, same in ((("box",), False), (("one",), False), (("one",), True)):
+        request = PlanRequest(restart=restart, same_process=same).for_members(specification)
+        summary, crashed = Summary(), 0
+        for run in simulate_many(range(40), rehearsed(specification, request)):
+            summary.add(run)
+            crashed += any(each.fault == "crash" for each in run.struck)
+        assert not summary.failed, "\n".join(f"{run.seed}: {'; '.join(run.problems)}" for run in summary.failed)
+        assert summary.outcomes["done"] > 0 < crashed

@@ -13,6 +13,8 @@ from midstride.model.specification import Node, Specification
 from midstride.model.wording import KIND_WORDS
 
 _CODE = "E027"
+# The program that the simulator runs in the place of a composable node: it uses Midstride's API.
+_STAND_IN = "python3 -m midstride.simulation.stand_in "
 _NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -234,6 +236,8 @@ def _shared(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator
 
 def gated_node_problems(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator[Problem]:
     """The problems of one node of ``component`` under ``path``."""
+    if (component.run or "").startswith(_STAND_IN):
+        return
     if node.container is not None and component.container is None:
         message = f"{node.role} is in the container {node.container}, and {component.name} is no composable node"
         help = 'state the class of its component: `run component "…" package "…" gate preload`; or omit `in`'

@@ -16,7 +16,7 @@ from midstride.simulation.system import System
 
 # How many seeds in succession change one system: the first of them brings it up.
 SHARED_BY: Final = 20
-# Of so many built-in systems in succession, the last one has services and ROS actions.
+# Of so many built-in systems in succession, the last one has services and ROS actions, and the one before a container.
 SERVING: Final = 5
 
 
@@ -79,7 +79,8 @@ class Runs:
 
 def _system_of(seed: int) -> str:
     """The built-in system that ``seed`` changes."""
-    return "docking" if seed // SHARED_BY % SERVING == SERVING - 1 else "rover"
+    number = seed // SHARED_BY % SERVING
+    return {SERVING - 1: "docking", SERVING - 2: "composed"}.get(number, "rover")
 
 
 def _first(seed: int, scenario: Scenario | None) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from midstride.backends.simulator.backend import Simulator
+from midstride.backends.simulator.injected_faults import beside
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.model.component import StopTimes
 from midstride.node.component_host import Host
@@ -47,7 +48,8 @@ class Platform(Simulator):
         deadline = self.time.steady() + stop.longest
         while not process.dead and self.time.steady() < deadline:
             await self.time.sleep(0.01)
-        process.kill()
+        if not beside(process, self.processes):
+            process.kill()
         return []
 
     def heal(self) -> None:

@@ -11,6 +11,7 @@ from typing import Final
 from immutables import Map
 
 from midstride.lang.load import load_text
+from midstride.model.component import DEFAULT_CONTAINER
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.request import PlanRequest
@@ -216,8 +217,19 @@ _BUILT_IN: Final = {
 
 @cache
 def _built_in(name: str) -> Specification:
+    if name == "composed":
+        return _composed(_built_in("rover"))
     text, stateless = _BUILT_IN[name]
     return with_stand_ins(load_text(text).require(), stateless)
+
+
+# The rover with these nodes in one process: a crash of one is a crash of all.
+_SHARED: Final = ("detector", "mapper", "planner")
+
+
+def _composed(rover: Specification) -> Specification:
+    nodes = {role: replace(node, container="box" if role in _SHARED else None) for role, node in rover.nodes.items()}
+    return replace(rover, name="composed", nodes=Map(nodes), containers=Map({"box": DEFAULT_CONTAINER}))
 
 
 # What may take the place of what.
@@ -244,12 +256,12 @@ _built_in_steps: Final[dict[tuple[object, ...], list[str]]] = {}
 def built_in(random: random.Random, current: Specification | None = None, name: str = "rover") -> Scenario:
     """A built-in system, as it is or as earlier changes have left it, with a drawn change of one or two nodes.
 
-    A node that an earlier change has removed is added again before anything else. ``name``: `rover`, or `docking`,
-    which has services and ROS actions.
+    A node that an earlier change has removed is added again before anything else. ``name``: `rover`; `docking`, which
+    has services and ROS actions; or `composed`, the rover with three nodes in a container.
     """
     specification = current or _built_in(name)
     request = _built_in_change(random, specification)
-    shape = sorted((role, node.component) for role, node in specification.nodes.items())
+    shape = sorted((role, node.component, node.container) for role, node in specification.nodes.items())
     key = (*shape, request.strategy, request.describe())
     if key not in _built_in_steps:
         _built_in_steps[key] = _steps(specification, request)
@@ -262,9 +274,13 @@ def _built_in_change(random: random.Random, specification: Specification) -> Pla
         ["replace", "replace", "replace", "two", "restart", "restart", "several", "several", "remove", "add", "set"]
     )
     roles = sorted(specification.nodes)
-    nodes, replaceable = _built_in(specification.name).nodes, _REPLACEABLE[specification.name]
+    nodes = _built_in(specification.name).nodes
+    replaceable = _REPLACEABLE["docking" if specification.name == "docking" else "rover"]
     if missing := sorted(set(nodes) - set(roles)):
         return PlanRequest(add=(nodes[missing[0]],), strategy=strategy)
+    members = specification.members_of("box")
+    if members and random.random() < 0.2:
+        return PlanRequest(restart=tuple(members), strategy=strategy)
     match kind:
         case "replace" | "two":
             chosen = random.sample(sorted(replaceable), 2 if kind == "two" else 1)

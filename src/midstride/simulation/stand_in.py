@@ -92,6 +92,7 @@ def _with_the_api(component: ComponentSpec) -> ComponentSpec:
         gate="none" if component.once else None,
         topics=Map(),
         package=None,
+        container=None,
         stop=None,
         activate_seconds=None,
         lazy=frozenset(),

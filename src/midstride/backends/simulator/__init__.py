@@ -7,7 +7,7 @@ from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop, ru
 
 PUBLIC = (
     "CooperativeThread Ended ProcessOutput RequestFault SUCCEEDED ServiceObserver SimulatedProcess "
-    "SimulatedProgram SimulatedRequest SimulatedWriter Simulator ThreadYield UNKNOWN"
+    "SimulatedProgram SimulatedRequest SimulatedWriter Simulator ThreadYield UNKNOWN beside"
 )
 
 __all__ = ["PacedLoop", "Simulator", "VirtualLoop", "run_paced"]

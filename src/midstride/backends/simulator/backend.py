@@ -13,7 +13,7 @@ from midstride.backends.simulator import virtual_loop as virtual
 from midstride.backends.simulator.control import SimulatedControl
 from midstride.backends.simulator.cooperative_thread import simulated_sleep
 from midstride.backends.simulator.host import SimulatedHost
-from midstride.backends.simulator.injected_faults import Faults
+from midstride.backends.simulator.injected_faults import Faults, beside
 from midstride.backends.simulator.manager_listener import MANAGER, SimulatedListener
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.simulated_process import SimulatedProcess
@@ -144,7 +144,11 @@ class Simulator(Backend):
         return handle.instance in self.processes
 
     async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
-        """Simulated programs use Midstride's API: SIGINT and SIGTERM are one to them."""
+        """Simulated programs use Midstride's API: SIGINT and SIGTERM are one to them.
+
+        One that shares the process of a container leaves it, and the others go on. Raises BackendError where it does
+        not: it can only be killed with them.
+        """
         process = self.processes.get(instance)
         if process is None:
             return []
@@ -153,6 +157,10 @@ class Simulator(Backend):
         deadline = self.time.steady() + stop.longest
         while not process.dead and self.time.steady() < deadline:
             await self.time.sleep(min(0.01, stop.longest))
+        if not process.dead and stop.longest and (others := beside(process, self.processes)):
+            process.exit_expected = False
+            names = ", ".join(sorted(each.instance for each in others))
+            raise BackendError(f"{instance} goes on in {process.shares}: it can only end with {names}")
         killed = (
             [] if process.dead or not stop.longest else [RemainingProcess(process.pid, process.instance, stop.longest)]
         )
@@ -210,6 +218,9 @@ class Simulator(Backend):
         if not process.exit_expected:
             event = Exited(process.instance, process.status, process.log.tail(20))
             self.time.loop.call_later(EXIT_LATENCY, lambda: self._on_exit(event))
+        if process.crashed:
+            for each in beside(process, self.processes):
+                each.kill(-9)
 
     def log(self, instance: str) -> str:
         """The output of a running component."""

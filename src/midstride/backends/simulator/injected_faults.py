@@ -37,6 +37,11 @@ class FailingCall:
     seconds: float
 
 
+def beside(process: SimulatedProcess, processes: Mapping[str, SimulatedProcess]) -> list[SimulatedProcess]:
+    """The other components of ``processes`` in the process of a container that ``process`` is in."""
+    return [each for each in processes.values() if process.shares == each.shares != "" and each is not process]
+
+
 class Faults:
     """Injects faults. Every method that names an instance raises BackendError where no such component runs."""
 
@@ -51,7 +56,9 @@ class Faults:
 
     def freeze(self, instance: str, seconds: float) -> None:
         """Stop the process for ``seconds``, like SIGSTOP and SIGCONT: nothing in it runs, nothing sent is lost."""
-        self._process(instance).freeze(seconds)
+        process = self._process(instance)
+        for each in (process, *beside(process, self._processes)):
+            each.freeze(seconds)
 
     def hang(self, instance: str, seconds: float) -> None:
         """Block a call of its code for ``seconds``; its control thread answers meanwhile."""

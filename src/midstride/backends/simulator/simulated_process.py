@@ -43,6 +43,8 @@ class SimulatedProcess:
     ) -> None:
         self.instance = launch.instance
         self.token = launch.token
+        # The name of the process of a container that it shares with others: a crash of one is a crash of all.
+        self.shares = launch.process
         self.pid = pid
         self.clock = clock
         self.log = ProcessOutput(log)
@@ -169,6 +171,11 @@ class SimulatedProcess:
             self.main.cancel()
         with self._program.interpreter_state():
             self._thread.kill()
+
+    @property
+    def crashed(self) -> bool:
+        """Return whether its container ends with it: it has not left in order, nor failed to load."""
+        return self.dead and self.status not in (0, -15) and (self.main is not None or self.status == -9)
 
     def freeze(self, seconds: float) -> None:
         """Stop the process for ``seconds``, like SIGSTOP and SIGCONT."""
