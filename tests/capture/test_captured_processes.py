@@ -39,7 +39,7 @@ def test_nodes_of_one_process_are_known() -> None:
     assert format_text(text).text == text
     assert list(specification.containers) == ["box"]
     assert "# /front/camera, /rectify are in the process of the container /box: state their classes" in text
-    assert "# /one, /other are in one process: one program has them, which `run` starts.\n" in text
+    assert "# /one, /other are in one process: one program, which `run` starts, has them all.\n" in text
     assert "/alone are" not in text
     assert observed_processes(graph.renamed({"/rectify": "/a"}))[0].nodes == ("/a", "/front/camera")
 

@@ -46,7 +46,7 @@ def container_lines(graph: ObservedGraph) -> Iterator[str]:
     """
     for process in observed_processes(graph):
         if process.container is None:
-            yield f"# {process.words}: one program has them, which `run` starts."
+            yield f"# {process.words}: one program, which `run` starts, has them all."
             continue
         yield f'# {process.words}: state their classes (`run component "…" package "…" gate preload`),'
         yield f"# and write `in {process.container}` after their components. Its program is not in the graph, either."

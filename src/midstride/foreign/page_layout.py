@@ -40,8 +40,8 @@ LATEST: Final = 8
 UNUSED, OUTPUT, INPUT, SERVER, CLIENT, NODE = range(6)
 CLOSED, OPEN = range(2)
 # Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate. NAMES_ONE: a
-# `__node:=` for all nodes of the process names the first of them alone. LEAVES: it is about to be unloaded, and nothing
-# calls it any more.
+# `__node:=` for all nodes of the process names the first of them alone. LEAVES: it is about to be unloaded, and neither
+# its timers nor messages on its ports call it.
 IN_USE, LISTS, NAMES_ONE, LEAVES = 1, 2, 4, 8
 
 

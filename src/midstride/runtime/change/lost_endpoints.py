@@ -131,7 +131,7 @@ def what_ended(
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
-        because = "it is behind a relay, which passes on messages, and what the servers that are declared are asked"
+        because = "it is behind a relay, which passes on its messages and the requests to its declared servers alone"
         if beside is not None:
             verb, may = ("answers", "may be") if planned else ("answered", "may have been")
             because += f"; each of the two {verb} the other services that both have, so a request {may} handled twice"
