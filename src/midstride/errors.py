@@ -7,7 +7,8 @@
     ├── NodeError               the author's API was used wrongly
     ├── Unanswered              a request of a client ends without a response
     ├── CommandRefused          a component refused a command of the manager (token, state)
-    │   └── RevisionChanged     it has changed since the manager last heard of it
+    │   ├── RevisionChanged     it has changed since the manager last heard of it
+    │   └── ImportRefused       it has not imported the state, and will not
     ├── BackendError            the platform below failed
     │   ├── StartFailed         a component did not start, register or match its declaration
     │   ├── CallTimeout         a component did not answer in time
@@ -79,6 +80,10 @@ class CommandRefused(MidstrideError):
 
 class RevisionChanged(CommandRefused):
     """A component refused a command because it has changed since it was last heard of. Observed again, it may do."""
+
+
+class ImportRefused(CommandRefused):
+    """A node has not imported the state that it was given, and will not."""
 
 
 class BackendError(MidstrideError):

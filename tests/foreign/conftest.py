@@ -32,7 +32,7 @@ def lab(tmp_path: Path, programs: Path, gate_library: Path) -> Iterator[Lab]:
 
 
 def fake_programs(folder: Path, compiler: Sequence[str]) -> None:
-    options = [*compiler, "-std=c11", "-O2"]
+    options = [*compiler, "-std=c11", "-O2", "-pthread"]
     subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", HERE / "fake_rcl.c"], check=True)
     link = ["-L", str(folder), "-lrcl", f"-Wl,-rpath,{folder}"]
     for program in ("node", "server"):

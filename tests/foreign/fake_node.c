@@ -1,7 +1,8 @@
 /* A node: `fake_node WRITER TOPIC PERIOD_NS MESSAGES`; it lives until it is ended. With `time`, it says how much processor time a message takes (ns).
  * With another word, that is a topic: in each period it takes a message from there, and publishes only if it has got one;
  * the number of what it answers, where messages have one. With `timer` behind the topic, it publishes in a timer; with
- * `ticks`, it takes one message alone, and then publishes whenever a timer calls it; with
+ * `ticks`, it takes one message alone, and then publishes whenever a timer calls it, which with `elsewhere` another thread
+ * has made, in the place of one that the node has removed; with
  * `pairs`, it takes two for each that it publishes; with `twice`, it publishes each two times.
  * FAKE_OTHERS in its environment is how many publishers of the topic it creates before, and removes after, its own.
  * FAKE_TOPICS is for how many further topics it creates publishers, TOPIC_0 and so on. With FAKE_SECOND, the full name of
@@ -13,6 +14,7 @@
  * With FAKE_LOADS, it does nothing but what it reads, a line each, and says when that is done: `+NAME` creates a node of that
  * full name with a publisher on the topic, `.NAME` removes the publisher of the last such node, `-NAME` ends the node. */
 #define _GNU_SOURCE
+#include <pthread.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -33,6 +35,8 @@ int rcl_publish(const void *, const void *, void *);
 int rcl_subscription_init(void *, const void *, const void *, const char *, const void *);
 int rcl_take(const void *, void *, void *, void *);
 int rcl_timer_init2(int *, void *, void *, int64_t, void *, struct allocator, int);
+int rcl_timer_init(int *, void *, void *, int64_t, void *, struct allocator);
+int rcl_timer_fini(int *);
 int rcl_timer_call(void *);
 
 /* Of rclcpp: PublisherBase::setup_intra_process, which its publisher has called once it is registered with the manager. */
@@ -101,6 +105,30 @@ static void load_as_told(const char *topic)
   }
 }
 
+static void *make_timer(void *timer)
+{
+  rcl_timer_init(timer, NULL, NULL, 0, NULL, (struct allocator){{NULL}});
+  return NULL;
+}
+
+/* Where there have been timers of this thread: two whose addresses the library looks for at the same place, of which it
+ * knows the second behind the first. */
+static int *make_elsewhere(void)
+{
+  enum { APART = 1024 * 16 / sizeof(int) };
+  static int timers[APART + 1];
+  int *first = timers, *second = &timers[APART];
+  pthread_t thread;
+  make_timer(first);
+  make_timer(second);
+  rcl_timer_fini(first);
+  make_timer(second);
+  rcl_timer_fini(second);
+  pthread_create(&thread, NULL, make_timer, second);
+  pthread_join(thread, NULL);
+  return second;
+}
+
 int main(int count, char **arguments)
 {
   if (getenv("FAKE_LOADS")) {
@@ -114,7 +142,7 @@ int main(int count, char **arguments)
   void *publisher, *second_publisher, *subscription = NULL, *log;
   const char *first = "/first", *second = getenv("FAKE_SECOND"), *topics = getenv("FAKE_TOPICS");
   uint64_t message[2] = {strtoull(arguments[1], NULL, 10), 0};
-  int timer, ticking = 0;
+  int made, *timer = &made, ticking = 0;
   long long period = atoll(arguments[3]), messages = atoll(arguments[4]), begun = now(), taken = 0;
   rcl_publisher_init(&log, NULL, &type, "/rosout", NULL);
   const char *wanted = getenv("FAKE_OTHERS");
@@ -145,10 +173,14 @@ int main(int count, char **arguments)
       struct timespec pause = {left / 1000000000, left % 1000000000};
       nanosleep(&pause, NULL);
     }
-    if (ticking ? rcl_timer_call(&timer) != 0 : subscription && rcl_take(&subscription, message, NULL, NULL) != 0)
+    if (ticking ? rcl_timer_call(timer) != 0 : subscription && rcl_take(&subscription, message, NULL, NULL) != 0)
       continue;
     if (strcmp(way, "ticks") == 0 && !ticking)
-      ticking = rcl_timer_init2(&timer, NULL, NULL, period, NULL, (struct allocator){{NULL}}, 1) == 0;
+      ticking = rcl_timer_init2(timer, NULL, NULL, period, NULL, (struct allocator){{NULL}}, 1) == 0;
+    if (strcmp(way, "elsewhere") == 0 && !ticking) {
+      timer = make_elsewhere();
+      ticking = 1;
+    }
     if (strcmp(way, "pairs") == 0 && ++taken % 2 != 0)
       continue;
     if (strcmp(way, "timer") == 0)

@@ -180,6 +180,13 @@ def test_nothing_calls_a_node_that_is_to_be_unloaded_until_it_stays_after_all(la
     publishes(node, 50)
 
 
+def test_a_timer_of_another_thread_goes_on_in_the_place_of_one_that_the_node_has_removed(lab: AnsweringLab) -> None:
+    """A removed timer is known no longer, though rcl tells the library twice of each that it makes."""
+    node = lab.first("elsewhere")
+    lab.page.leaves(node.index, True)
+    publishes(node, 50)
+
+
 def outputs_of(page: Page, instance: str, predecessor: int | None = None) -> tuple[Gates, GatedOutputs]:
     """The outputs of a node that has answered messages, without its process."""
     topics = {"out": "/chat", "in": "/numbers"}

@@ -285,14 +285,20 @@ def test_a_running_process_of_rcl_shows_that_the_library_was_taken_away(
     program = compiled("of_rcl", "-Wl,--no-as-needed", str(library))
     shown = tmp_path / f"gate-0123456789abcdef-{os.uname().machine}.so"
     shutil.copyfile(gate, shown)
-    for words, taken in ((["env", "-u", "LD_PRELOAD"], True), (["env", "A=b"], False)):
-        command = ["sh", "-c", f"{' '.join(words)} {program} x wait; true"]
+    without, having = "env -u LD_PRELOAD", "env A=b"
+    for words, taken in (
+        ((without,), True),
+        ((having,), False),
+        ((without, having), False),
+        ((having, without), False),
+    ):
+        command = ["sh", "-c", " & ".join(f"{each} {program} x wait" for each in words) + "; wait"]
         environment = {**os.environ, "LD_PRELOAD": str(shown), "LD_LIBRARY_PATH": str(tmp_path)}
         process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True, env=environment)
         try:
-            assert process.stdout is not None and process.stdout.readline()
+            assert process.stdout is not None and all(process.stdout.readline() for _ in words)
             unseen = why_unseen(process.pid)
-            assert (unseen is not None) == taken
+            assert (unseen is not None) == taken, words
             assert unseen is None or ("uses rcl, and was started without the library" in unseen.why)
             assert unseen is None or unseen.settled == 0.0
         finally:

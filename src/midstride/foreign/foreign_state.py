@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Final
 
-from midstride.errors import CommandRefused
+from midstride.errors import CommandRefused, ImportRefused
 from midstride.foreign.graph_check import NamedServer, Served
 from midstride.foreign.node import WATCH, ForeignNode
 from midstride.foreign.services import NoAnswer, StateAccess
@@ -20,10 +20,6 @@ IMPORT_STATE: Final = ("midstride/import_state", "rcl_interfaces/srv/SetParamete
 STATE: Final = "state"
 # How long the graph may take to show the services of a node that has just been started (s).
 SHOWN: Final = 1.0
-
-
-class ImportRefused(CommandRefused):
-    """The node has not imported the state, and will not."""
 
 
 class OfferedState:

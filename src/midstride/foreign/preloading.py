@@ -126,6 +126,8 @@ def why_not_loaded(program: str, gate: ElfFile | None = None) -> str | None:
 
 def why_unseen(pid: int) -> Unseen | None:
     """Why the library does not see what the process ``pid``, or one below it, writes; None where nothing shows it."""
+    without: int | None = None
+    with_both = False
     for each in _family(pid):
         with suppress(OSError):
             if (privileged := _has_privileges(each)) is not False:
@@ -144,12 +146,15 @@ def why_unseen(pid: int) -> Unseen | None:
                 return Unseen(_by_agnocast(f"its process {each} has loaded it"), settled=AGNOCAST_SETTLED)
             if (why := why_not_loaded(os.readlink(f"/proc/{each}/exe"))) is not None:
                 return Unseen(why, settled=None)  # it may start a program that is none
-            if _RCL in loaded and _GATE not in loaded:
-                return Unseen(
-                    f"its process {each} uses rcl, and was started without the library, as by a script that changes "
-                    f"`{PRELOAD}`, `env -i` or `sudo`: have that keep the variable, or declare it with `gate relay`"
-                )
-    return None
+            if _RCL in loaded:
+                with_both = with_both or _GATE in loaded
+                without = without or (None if _GATE in loaded else each)
+    if without is None or with_both:
+        return None  # one that has both may be the node, and the others helpers of it
+    return Unseen(
+        f"its process {without} uses rcl, and was started without the library, as by a script that changes "
+        f"`{PRELOAD}`, `env -i` or `sudo`: have that keep the variable, or declare it with `gate relay`"
+    )
 
 
 def _family(pid: int) -> Iterator[int]:

@@ -125,15 +125,19 @@ class Relay:
         receive = self.source.receiver(link, host)
 
         def received(message: Any, info: Any) -> None:
-            self.waiting.append(message)
+            if not self._is_stale(info):
+                self.waiting.append(message)
             receive(message, info)
 
         link.endpoint = host.create_subscription(self.topic, self.source.type, self.qos, received)
         self.source.links = (link,)
 
     def write(self, message: Any) -> None:
-        if self.stale_before and self._is_stale():
-            return
+        if self.stale_before:
+            # the message that its functionality is called with
+            if self._is_stale(self.output.owner.info):
+                return
+            self.stale_before = 0
         self._pass_on(message)
 
     def _pass_on(self, message: Any) -> None:
@@ -142,14 +146,12 @@ class Relay:
                 pass
         self.output.write(message)
 
-    def _is_stale(self) -> bool:
-        """Return whether the message that its functionality is called with was published with another state."""
-        info = self.output.owner.info
-        published = None if info is None or self.read_info is None else self.read_info(info).source
-        if published is not None and published < self.stale_before:
-            return True
-        self.stale_before = 0
-        return False
+    def _is_stale(self, info: Any) -> bool:
+        """Return whether the message with this ``info`` was published with another state."""
+        if not self.stale_before or info is None or self.read_info is None:
+            return False
+        published = self.read_info(info).source
+        return published is not None and published < self.stale_before
 
     def forget_kept(self) -> None:
         """Repeat to nobody what has been published so far. On the data thread."""

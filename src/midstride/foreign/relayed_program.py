@@ -18,7 +18,7 @@ import msgspec
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, NodeError
 from midstride.model.component import ComponentSpec, StopTimes
-from midstride.model.instance_names import dotted_name
+from midstride.model.instance_names import PRIVATE_NAMES, dotted_name
 from midstride.wire.state import WireValue
 
 # What a relay exits with where it had to kill its program, as a shell has it.
@@ -87,8 +87,8 @@ def differing(program: Mapping[str, str], relay: Mapping[str, str]) -> dict[str,
 
 
 def private_topics(component: ComponentSpec, instance: str) -> dict[str, str]:
-    """Where the program publishes instead, by output: hidden from ROS 2's tools by the first character."""
-    return {port: f"/_midstride/relay/{instance.strip('/')}/{port}" for port in component.outputs}
+    """Where the program publishes instead, by output."""
+    return {port: f"{PRIVATE_NAMES}relay/{instance.strip('/')}/{port}" for port in component.outputs}
 
 
 class RelayedProgram:

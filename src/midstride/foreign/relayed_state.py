@@ -17,7 +17,7 @@ from midstride.wire import replies
 class RelayedOutput(Protocol):
     """An output that forgets what its program has published with another state.
 
-    What was published before ``stale_before`` (ns, by :meth:`Host.message_now`) is not passed on.
+    What was published before ``stale_before`` (ns, by :meth:`Host.message_now`) is neither passed on nor kept.
     """
 
     rated: bool
@@ -58,17 +58,13 @@ class RelayedState:
         Of an output without a rate, what is published while it does so has the new state already.
         """
 
-        def forget_kept() -> None:
-            for output in self._outputs:
+        def forget(outputs: Sequence[RelayedOutput], before: int) -> None:
+            for output in outputs:
                 output.forget_kept()
+                output.stale_before = before
 
         begun = self._host.message_now()
-        await self._host.on_data(forget_kept)
+        await self._host.on_data(lambda: forget(self._outputs, begun))
         await self._state.import_(state, timeout)
         ended = self._host.message_now()
-
-        def drop_stale() -> None:
-            for output in self._outputs:
-                output.stale_before = ended if output.rated else begun
-
-        await self._host.on_data(drop_stale)
+        await self._host.on_data(lambda: forget([output for output in self._outputs if output.rated], ended))

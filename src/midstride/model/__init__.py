@@ -16,7 +16,7 @@ PUBLIC = (
     "DEFAULT_SECONDS DEFAULT_STOP Degrade Detach Diagnosis Durability EnvironmentGuarantee Evaluator FEWEST_PERIODS "
     "FunctionalityRef FunctionalitySpec GATES Gate HANDOVER_SECONDS Handover HistoryPolicy InputAlternatives Instance "
     "Interval KILL_AT_ONCE KIND_WORDS Keep LOST_AT_END Limit Liveliness LoadWords MANAGEMENTS MAX_NUMBER Management "
-    "Mode NODE_NAMES NOTHING Node NodeEndpoint OF_PARAMETERS OneOf Order ParameterSection ParameterSpec "
+    "Mode NODE_NAMES NOTHING Node NodeEndpoint OF_PARAMETERS OneOf Order PRIVATE_NAMES ParameterSection ParameterSpec "
     "ParameterValue PortRef Predicate Problem QoS ROS_PARAMETERS Reliability Remove Resource RespawnPolicy Scalar "
     "SetParameters Severity SharedContainer Specification StopTimes SubjectPath Swap SystemContext TIMING Upgrade "
     "ValueSet Violation "

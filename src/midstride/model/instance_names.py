@@ -10,6 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Container
 from itertools import count
+from typing import Final
+
+# How the names of topics and services begin that are Midstride's own: hidden from ROS 2's tools by the first character.
+PRIVATE_NAMES: Final = "/_midstride/"
 
 
 def fresh_name(role: str, *used: Container[str]) -> str:

@@ -22,7 +22,7 @@ from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import BackendError, StartFailed
 from midstride.model.component import StopTimes
 from midstride.model.contract import Predicate
-from midstride.model.instance_names import full_name, log_file_name
+from midstride.model.instance_names import PRIVATE_NAMES, full_name, log_file_name
 from midstride.node.component_host import Host
 from midstride.node.diagnostic_status import DiagnosticEntry
 from midstride.runtime.backend_protocol import (
@@ -194,7 +194,7 @@ class Simulator(Backend):
     @asynccontextmanager
     async def probe(self) -> AsyncIterator[str | None]:
         self._probes += 1
-        topic = f"/_midstride/probe_{self._probes}"
+        topic = f"{PRIVATE_NAMES}probe_{self._probes}"
         self.network.probes[topic] = self.time.steady()
         try:
             yield topic

@@ -124,7 +124,8 @@ struct node {
   _Atomic uint32_t cancels; /* whether the helper thread is to cancel the goals that it has */
   _Atomic uint32_t beyond; /* how many goals it has in progress that the page had no room for */
   _Atomic uint32_t goals[COUNTED]; /* what has become of its goals, in all */
-  _Atomic uint32_t apart; /* the same, with those that have ended, and whose results no client has fetched */
+  _Atomic uint32_t apart; /* how many goals the page had no room for, also those that have ended, and whose results no
+                           * client has fetched */
   _Atomic uint32_t loading; /* index + 1 of the one that a container, which this is, is being asked to load; 0: of none */
   _Atomic uint32_t loads; /* how many requests to load a node it has taken and not answered yet */
   char instance[NAME];

@@ -52,15 +52,17 @@ static int add_timer(const void *timer, int result)
   if (result != 0 || !me)
     return result;
   pthread_mutex_lock(&lock);
-  for (unsigned step = 0; step < TIMERS; step++) {
-    struct known *unused = probed(timer, step);
-    const void *of = atomic_load(&unused->timer);
-    if (of && of != GONE)
-      continue;
-    atomic_store(&unused->me, me);
-    unused->cancelled = false;
-    atomic_store_explicit(&unused->timer, timer, memory_order_release);
-    break;
+  struct known *place = find_timer(timer); /* rcl_timer_init calls rcl_timer_init2 */
+  for (unsigned step = 0; !place && step < TIMERS; step++) {
+    struct known *other = probed(timer, step);
+    const void *of = atomic_load(&other->timer);
+    if (!of || of == GONE)
+      place = other;
+  }
+  if (place) {
+    atomic_store(&place->me, me);
+    place->cancelled = false;
+    atomic_store_explicit(&place->timer, timer, memory_order_release);
   }
   pthread_mutex_unlock(&lock);
   return result;

@@ -37,7 +37,10 @@ class OutsideState(Protocol):
         """The state, or that the program has not answered in ``timeout`` (s)."""
 
     async def import_(self, state: bytes, timeout: float) -> None:
-        """Have the program take over ``state``, in ``timeout`` (s)."""
+        """Have the program take over ``state``, in ``timeout`` (s).
+
+        Raises ImportRefused where it refuses; where it may do so yet, CommandRefused.
+        """
 
 
 @dataclass(slots=True)

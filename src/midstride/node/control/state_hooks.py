@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
-from midstride.errors import CommandRefused
+from midstride.errors import CommandRefused, ImportRefused
 from midstride.node.author.declaration import Callbacks
 from midstride.node.data.functionality_runner import CAUGHT, format_error
 from midstride.node.data.mode_switch import DataExecutor
@@ -80,7 +80,11 @@ class StateHooks:
                         "asked again"
                     )
                 self._asked = exporter
-                await outside.import_(state, timeout)
+                try:
+                    await outside.import_(state, timeout)
+                except ImportRefused:
+                    self._asked = ""
+                    raise
                 self._imported = exporter
             return
         hook = self.callbacks.import_changes if changes else self.callbacks.import_state

@@ -13,7 +13,7 @@ from midstride.backends.ros2.component.data_node import NodeParameter
 from midstride.backends.ros2.middleware import RmwImplementation
 from midstride.backends.ros2.names import PARAMETER_EVENTS
 from midstride.errors import CommandRefused, NodeError
-from midstride.model.instance_names import full_name
+from midstride.model.instance_names import PRIVATE_NAMES, full_name
 from midstride.node.legible import legible
 from midstride.wire.state import Endpoint
 
@@ -24,8 +24,6 @@ _OF_ROS: Final = frozenset({"/parameter_events", "/rosout", "/clock"})
 _SERVICES_OF_ROS: Final = ("/get_type_description",)
 # The topic that each end of a ROS action has.
 _ACTION_STATUS: Final = "/_action/status"
-# How the names begin that a program has behind its relay, which is the client there.
-_PRIVATE: Final = "/_midstride/"
 
 
 class Ros2NodeParameters:
@@ -126,7 +124,10 @@ def _actions(node: Any, control: str, rmw: RmwImplementation) -> Iterator[tuple[
     name, so they are recognized by the process; where that is unknown, by the name if no other node has it.
     """
     topics = (topic for topic, _ in node.get_topic_names_and_types())
-    status_topics = [topic for topic in topics if topic.endswith(_ACTION_STATUS) and not topic.startswith(_PRIVATE)]
+    # A relay is the client of its program under a private name.
+    status_topics = [
+        topic for topic in topics if topic.endswith(_ACTION_STATUS) and not topic.startswith(PRIVATE_NAMES)
+    ]
     if not status_topics:
         return  # every node is among the publishers of the next line
     own: set[bytes | str | None] = {

@@ -50,7 +50,7 @@ from midstride.foreign.preloading import StartedPrograms
 from midstride.foreign.relayed_program import differing
 from midstride.model.component import KILL_AT_ONCE, ROS_PARAMETERS, ComponentSpec
 from midstride.model.contract import Predicate
-from midstride.model.instance_names import full_name
+from midstride.model.instance_names import PRIVATE_NAMES, full_name
 from midstride.runtime.backend_protocol import (
     Backend,
     DescribedProcess,
@@ -374,7 +374,7 @@ class Ros2Backend(ContainerBackend, Backend):
             yield None
             return
         self._probes += 1
-        topic = f"/_midstride/probe_{os.getpid()}_{self._probes}"
+        topic = f"{PRIVATE_NAMES}probe_{os.getpid()}_{self._probes}"
         node, qos = self._node, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         publisher = await self._in_time(lambda: node.create_publisher(ParameterEvent, topic, qos))
         try:
