@@ -18,8 +18,8 @@ import subprocess, sys, time
 from _guard import guard
 guard()
 process = subprocess.Popen(["sleep", "600"], start_new_session=True)
-print(process.pid, flush=True)
 try:
+    print(process.pid, flush=True)
     time.sleep(600)
 finally:
     print("ended as usual", flush=True)
