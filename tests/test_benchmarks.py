@@ -1,20 +1,29 @@
-"""The benchmarks use names of Midstride that exist, also where they import them only when they run."""
+"""The benchmarks use names of Midstride and of the tests that exist, also where they import them only when they run."""
 
 from __future__ import annotations
 
 import ast
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+# Where the packages are that a benchmark imports.
+FOLDERS = {"midstride": ROOT / "src", "tests": ROOT, "benchmarks": ROOT}
 PROGRAMS = sorted((ROOT / "benchmarks").glob("*.py"))
 
 
+def is_ours(module: str) -> bool:
+    """Return whether a module is of Midstride, of the tests or beside the benchmarks, where all have names like _x."""
+    top = module.partition(".")[0]
+    return top in FOLDERS or (top.startswith("_") and top not in sys.stdlib_module_names)
+
+
 def source_of(module: str) -> Path | None:
-    """The file of a module of Midstride or of one beside the benchmarks; None where there is none."""
-    path = ROOT / ("src" if module.partition(".")[0] == "midstride" else "benchmarks") / module.replace(".", "/")
+    """The file of a module of ours; None where there is none."""
+    path = FOLDERS.get(module.partition(".")[0], ROOT / "benchmarks") / module.replace(".", "/")
     return next((each for each in (path.with_suffix(".py"), path / "__init__.py") if each.is_file()), None)
 
 
@@ -32,12 +41,12 @@ def names_of(source: Path) -> Iterator[str]:
 
 
 def missing(program: str) -> list[str]:
-    """What a program imports of Midstride, or of what is beside it, and is not there."""
+    """What a program imports of ours, and is not there."""
     found = []
     for node in ast.walk(ast.parse(program)):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(("midstride", "_")):
-            if node.module == "__future__":
-                continue
+        if isinstance(node, ast.Import):
+            found += [each.name for each in node.names if is_ours(each.name) and source_of(each.name) is None]
+        elif isinstance(node, ast.ImportFrom) and node.module and is_ours(node.module):
             source = source_of(node.module)
             names = set() if source is None else {*names_of(source)}
             if source is None or "__getattr__" not in names:
@@ -51,7 +60,24 @@ def test_what_a_benchmark_imports_is_there(path: Path) -> None:
 
 
 def test_what_is_not_there_is_found() -> None:
-    program = (
-        "def main():\n    from midstride.backends.ros2.dds_profiles import choose, tuned\n    from _gone import x\n"
-    )
-    assert missing(program) == ["midstride.backends.ros2.dds_profiles.tuned", "_gone.x"]
+    program = """
+from __future__ import annotations
+import json, midstride.runtime.workspace, midstride.runtime.gone, tests.gone, _tuned, _gone
+from benchmarks._guard import guard, gone
+from tests.native import compiled, uncompiled
+from tests.plan import systems, system
+
+def main():
+    from midstride.backends.ros2.dds_profiles import choose, tuned
+    from _gone import x
+"""
+    assert missing(program) == [
+        "midstride.runtime.gone",
+        "tests.gone",
+        "_gone",
+        "benchmarks._guard.gone",
+        "tests.native.uncompiled",
+        "tests.plan.system",
+        "midstride.backends.ros2.dds_profiles.tuned",
+        "_gone.x",
+    ]

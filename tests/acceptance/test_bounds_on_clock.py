@@ -71,7 +71,7 @@ def test_a_bound_is_one_of_the_time_on_the_clock(tmp_path: Path) -> None:
     async def scenario() -> None:
         from rcl_interfaces.srv import ListParameters
 
-        options, clock = SystemOptions(use_sim_time=True), ClockSource(tmp_path, SLOW)
+        options = SystemOptions(use_sim_time=True)
         async with managed(tmp_path / "system", load_text(TEXT).require(), tmp_path, options) as (manager, _):
             with Bare() as bare:
                 client = bare.node.create_client(ListParameters, "/map")
@@ -108,7 +108,10 @@ def test_a_bound_is_one_of_the_time_on_the_clock(tmp_path: Path) -> None:
                 clock.drive(SLOW)
                 while mode() != "normal":
                     await answered()
-        clock.stop()
 
     with ended():
-        run(scenario(), 180)
+        clock = ClockSource(tmp_path, SLOW)
+        try:
+            run(scenario(), 180)
+        finally:
+            clock.stop()

@@ -107,6 +107,28 @@ def test_a_manager_that_does_not_say_its_status_keeps_nothing_from_being_capture
     assert "/driver: nothing added" in capsys.readouterr().err
 
 
+def test_what_is_subscribed_to_and_what_a_file_does_not_have_together_are_named(
+    graph: ObservedGraph, capsys: pytest.CaptureFixture[str]
+) -> None:
+    graph.subscribed.add("/chatter")
+    graph.processes |= {"/box": "1", "/talker": "1", "/gone": "1"}
+    graph.containers.add("/box")
+    together = "/gone, /talker are in the process of the container /box, and chat.stride does not have them in one "
+    assert main(["capture", "--into", "chat.stride", "-o", "new.stride", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["lifecycle"], document["not_together"]) == ([], [f"{together}container"])
+    assert main(["capture", "--into", "chat.stride"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert f"{together}container" in said
+    assert any(
+        each.startswith(
+            "subscribed to 1 topic to measure rates, as the library of the gate does not see each message of a "
+            "publisher there: /chatter; a publisher"
+        )
+        for each in said
+    )
+
+
 def test_a_draft_is_printed(graph: ObservedGraph, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["capture"]) == 0
     assert capsys.readouterr().out.endswith("node talker : Talker { chatter -> /chatter }\n")

@@ -9,12 +9,17 @@ from pathlib import Path
 
 import pytest
 
+from midstride.backends.ros2.manager.seen_nodes import SeenNodes
+from midstride.backends.ros2.manager.seen_writes import SeenWrites
+from midstride.capture.observed import ObservedGraph
 from midstride.capture.rates import measured
 from midstride.codec.component_form import NamedComponentForm
 from midstride.foreign.gates import Gates
 from midstride.foreign.page import PAGE, Page
 from midstride.foreign.record import ForeignRecord
 from midstride.model.component import ComponentSpec
+from tests.backends.ros2_support import Bare
+from tests.foreign.lab import until
 from tests.native import compiled, environment_of_compiled
 
 SOURCE = Path(__file__).parents[1] / "foreign" / "within.c"
@@ -28,6 +33,7 @@ def test_no_subscription_is_made_where_the_library_counts(
     tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from midstride.backends import ros2
+    from midstride.backends.ros2.manager import observer
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(gate_library.parent.parent))
     page = Page(tmp_path / PAGE, gate_library)
@@ -56,6 +62,11 @@ def test_no_subscription_is_made_where_the_library_counts(
             topics={},
             modes={},
         ).write(tmp_path)
+        with Bare() as bare:
+            until(lambda: all(map(bare.node.count_publishers, ("/counted", "/plain"))), "they are not in the graph")
+            at_once = ObservedGraph()
+            observer._look(bare.node, at_once, SeenWrites(SeenNodes(tmp_path)))
+        assert at_once.subscribed == {"/plain"}, "the graph showed them before the first look at the counts"
         graph = ros2.observe(2.0, ("/within", "/plain"), tmp_path)
         (port,) = page.ports(index)
         assert (port.topic, int(port.passed)) == (b"/counted", 0), "it was subscribed to"

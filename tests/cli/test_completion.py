@@ -99,6 +99,7 @@ def test_every_command_and_its_options(complete: Complete) -> None:
     [
         (f"impact {OBSTACLE} ", ["controller", "detector"]),
         (f"impact {OBSTACLE} detector ", ["controller"]),
+        (f"impact {GROUPED} front/", ["front/left", "front/pipeline", "front/right"]),
         (f"plan {TALKER} --remove l", ["listener"]),
         (f"plan {TALKER} --replace t", ["talker="]),
         (f"plan {TALKER} --replace talker=", ["Listener", "NewTalker", "Talker"]),

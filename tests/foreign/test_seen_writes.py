@@ -12,7 +12,7 @@ from midstride.backends.ros2.manager.seen_nodes import SeenNodes
 from midstride.backends.ros2.manager.seen_writes import EVERY, OUTPUTS_EVERY, SILENT, SeenWrites
 from midstride.capture.rates import measured
 from midstride.foreign.gates import Gates
-from midstride.foreign.page_layout import WRITES, PagePort, Within
+from midstride.foreign.page_layout import NODE, WRITES, PagePort, Within
 from midstride.model.component import ComponentSpec
 from tests.foreign.lab import MS, Lab, until
 
@@ -48,6 +48,21 @@ def made(lab: Lab, tmp_path: Path, gate_library: Path, monkeypatch: pytest.Monke
 
 def seen(made: Made) -> SeenWrites:
     return SeenWrites(SeenNodes(made.lab.page.path.parent), lambda: made.now)
+
+
+def test_what_the_graph_shows_before_the_next_look_is_looked_for(lab: Lab, made: Made) -> None:
+    """A subscription would stay, so the answer must not be that of the look before."""
+    writes = seen(made)
+    assert writes.counts("/talker", "/chat"), "before the first look"
+    made.write(1000.01, 990.0)  # of the second, the time is not noted yet
+    made.now += EVERY
+    writes.look()
+    assert writes.times("/talker", "/chat") == pytest.approx([1000.01], abs=2e-6)
+    index = lab.page.allocate("late")
+    Gates(lab.page, index, THING).prepare({})
+    lab.run(index, 0, 1)
+    lab.page.set_ports(index, [("/late", NODE)])  # as the library names a ROS node of the process
+    assert writes.counts("/late", "/chat"), "it has come since the last look"
 
 
 def test_the_rate_of_a_running_node_is_measured(lab: Lab, made: Made) -> None:
@@ -165,7 +180,7 @@ def test_no_other_node_and_no_other_process_is_taken_for_it(made: Made) -> None:
 
 def test_publishers_of_two_ros_nodes_of_a_process_have_one_count_which_is_neithers(made: Made) -> None:
     page = made.lab.page
-    page.set_ports(made.index, [("/second", 5)])  # as the library names a ROS node of the process
+    page.set_ports(made.index, [("/second", NODE)])  # as the library names a ROS node of the process
     writes = seen(made)
     writes.look()
     assert writes.counts("/talker", "/chat") and writes.counts("/second", "/chat")

@@ -289,9 +289,23 @@ def test_a_replacement_may_stay_in_the_process_of_the_old_one(tmp_path: Path) ->
         changed(specification, PlanRequest(restart=("b",), same_process=True), alone)
     with pytest.raises(PlanRefused, match="no node of a container is replaced"):
         changed(specification, PlanRequest(remove=("b",), same_process=True))
+    beside = TEXT.replace("node b", "topic /c : std_msgs/msg/String @ 10 Hz\nnode c : Talker { out -> /c }\nnode b")
+    both = changed(read(tmp_path, beside), PlanRequest(restart=("b", "c"), same_process=True))
+    assert processes(both) == {"b_2": "front/pipeline", "c_2": "", "front/a": "front/pipeline"}
+    with pytest.raises(PlanRefused, match="no node of a container is replaced"):
+        changed(read(tmp_path, beside), PlanRequest(restart=("c",), same_process=True))
     other = TEXT.replace("node b : Talker", OTHER + "node b : Other")
     with pytest.raises(PlanRefused, match="b_2 cannot start in front/pipeline, the process of b: its class or its"):
         changed(specification, PlanRequest(to=read(tmp_path, other), same_process=True))
+
+
+def test_what_the_simulator_runs_is_checked_as_other_programs(tmp_path: Path) -> None:
+    stand_in = ("demo::Talker", "python3 -m midstride.simulation.stand_in Talker")
+    topics = ("in /front/pipeline { out -> /b }", "in /front/pipeline { out -> /a, /b }")
+    ((code, message, _),) = errors(tmp_path, stand_in, topics)
+    assert (code, message.partition(";")[0]) == ("E027", "b.out is attached to 2 topics")
+    found = errors(tmp_path, stand_in, (" gate preload", ' prefix "nice" gate preload'))
+    assert [code for code, message, _ in found if "states a prefix" in message] == ["E027", "E027"]
 
 
 def test_what_does_not_fit_twice_moves_one_node_after_another(tmp_path: Path) -> None:

@@ -306,8 +306,9 @@ MODEL: Final = (
         lifecycle node states how long it may take to `activate`; or a lifecycle manager of the system, such as Nav2's,
         has a node in its `node_names` that has `gate lifecycle`, so that two would manage it; or a composable node
         (`run component`) has no package, no gate, `gate relay`, `once`, `unnamed` or `renames`; or a node is `in` a
-        container whose component is none, or states what only a process has. A parameter of a mode is declared in the
-        component, with a value of the same type, and belongs to the modes of one functionality.""",
+        container, and its component is no composable node, or states what only a process has; or a container states
+        `drain` or `patience`, which its nodes have. A parameter of a mode is declared in the component, with a value of
+        the same type, and belongs to the modes of one functionality.""",
         "correct the statement that the message names",
         STARTED.replace("output out", "output out as chat") + NODE,
         STARTED.replace("component", "container box\ncomponent") + NODE.replace(" {", " in box {"),
@@ -362,6 +363,7 @@ MODEL: Final = (
             'run "python3 -m s.talker"', 'run component "demo::Talker" package "demo" gate preload renames talker'
         )
         + NODE,
+        'system s\ncontainer box { run "component_container" stop drain 3 s }\n',
     ),
     _entry(
         "E028: part of a program that ends",

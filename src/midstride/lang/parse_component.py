@@ -100,8 +100,20 @@ class ComponentParser(ContractParser):
         program = self.text("the program of a component container in double quotes after `run`")
         package, prefix, startup = self._package(), self._prefix(), self._startup()
         stop = self._stop() if self.accept_word("stop") else None
-        rest = (None, None, None, False, None)
-        return syntax.Run(program, package, None, prefix, startup, rest[0], stop, *rest[1:], self.since(start))
+        return syntax.Run(
+            command=program,
+            package=package,
+            container=None,
+            prefix=prefix,
+            startup=startup,
+            activate=None,
+            stop=stop,
+            gate=None,
+            once=None,
+            unnamed=False,
+            renames=None,
+            span=self.since(start),
+        )
 
     def _prefix(self) -> syntax.Name | None:
         return self.text("the words before the program in double quotes") if self.accept_word("prefix") else None

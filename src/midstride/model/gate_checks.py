@@ -236,14 +236,12 @@ def _shared(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator
 
 def gated_node_problems(component: ComponentSpec, node: Node, path: SubjectPath) -> Iterator[Problem]:
     """The problems of one node of ``component`` under ``path``."""
-    if (component.run or "").startswith(_STAND_IN):
-        return
-    if node.container is not None and component.container is None:
+    if node.container is not None and component.container is not None:
+        yield from _shared(component, node, (*path, "container"))
+    elif node.container is not None and not (component.run or "").startswith(_STAND_IN):
         message = f"{node.role} is in the container {node.container}, and {component.name} is no composable node"
         help = 'state the class of its component: `run component "…" package "…" gate preload`; or omit `in`'
         yield Problem(_CODE, (*path, "container"), message, help)
-    elif node.container is not None:
-        yield from _shared(component, node, (*path, "container"))
     if component.gate is None:
         return
     for port, topics in sorted(node.attachments.items()):

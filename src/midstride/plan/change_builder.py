@@ -245,6 +245,8 @@ class ChangeBuilder:
         found = {}
         for before, after in self.replaced.items():
             old, new = self.start.instances[before], self.coming[after]
+            if old.container is None and new.container is None:
+                continue
             if not old.process:
                 raise PlanRefused(f"{before} has a process for itself: nothing else can be started in that")
             if _code(old) != _code(new) or not _loaded_alike(old.container, new.container):

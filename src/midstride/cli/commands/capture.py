@@ -120,13 +120,15 @@ def capture_command(
     stated_names = {own: stated for stated, own in own_names.items()}
     graph = graph.renamed(stated_names)
     findings = {(stated_names.get(node, node), one, other): each for (node, one, other), each in findings.items()}
-    shared: list[str] = []
+    apart: list[str] = []
     added, left, target = drafted_nodes(graph), dict[str, str](), output
     ports = sum(len(graph.of_node(node)) for node in added) + len(drafted_services(graph))
     if into is not None:
         if (stated := load(into).specification) is not None:
             note_managers(graph, stated)
-            shared = [f"{each.words}, and FILE states them elsewhere" for each in not_stated(graph, stated)]
+            apart = [
+                f"{each.words}, and {into} does not have them in one container" for each in not_stated(graph, stated)
+            ]
         insertion = insert(read_text(into), str(into), graph, rates, findings, lifecycle)
         text, added, left, target = insertion.text, insertion.added, insertion.left, output or into
         ports = insertion.ports
@@ -136,7 +138,7 @@ def capture_command(
         managed = words_on(graph, lifecycle, added)
     if target is not None:
         write(target, text)
-    _report(text, target, graph, added, ports, left, [*managed, *shared], findings)
+    _report(text, target, graph, added, ports, left, managed, apart, findings)
     return 0
 
 
@@ -208,8 +210,9 @@ def _subscribed_in_words(graph: ObservedGraph) -> str:
     topics = sorted(graph.subscribed)
     shown = ", ".join(topics[:_SHOWN]) + (f" and {len(topics) - _SHOWN} more" if len(topics) > _SHOWN else "")
     return (
-        f"subscribed to {counted(len(topics), 'topic')} to measure rates, as no library counts in the process of a "
-        f"publisher: {shown}; a publisher that uses intra-process communication serializes each message for that"
+        f"subscribed to {counted(len(topics), 'topic')} to measure rates, as the library of the gate does not see each "
+        f"message of a publisher there: {shown}; a publisher that uses intra-process communication serializes each "
+        "message for that"
     )
 
 
@@ -221,6 +224,7 @@ def _report(
     ports: int,
     left: dict[str, str],
     managed: list[str],
+    apart: list[str],
     findings: Dependences,
 ) -> None:
     if wants_json():
@@ -234,6 +238,7 @@ def _report(
                 "ports": ports,
                 "left": left,
                 "lifecycle": managed,
+                "not_together": apart,
                 "processes": [{"container": each.container, "nodes": each.nodes} for each in observed_processes(graph)],
                 "probed": [
                     {"node": node, "input": one, "output": other, "verdict": each.verdict, "evidence": each.because}
@@ -246,7 +251,7 @@ def _report(
         click.echo(text, nl=False)
     for node, reason in left.items():
         click.echo(f"{node}: nothing added: {reason}", err=True)
-    for words in managed:
+    for words in [*managed, *apart]:
         click.echo(words, err=True)
     for type_ in sorted(graph.unreadable):
         click.echo(f"{type_}: its package is not here, so rates are not measured", err=True)

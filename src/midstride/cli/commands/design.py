@@ -53,13 +53,14 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
 @click.command("impact")
 @click.argument("file", type=_FILE)
-@click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=shell_completion.nodes)
+@click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=shell_completion.nodes_and_containers)
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first.
 
     A node without which a functionality of another node is in its last mode is a single point of failure. A crash of a
-    node in a container ends all nodes of it: then what its container has degrades.
+    node in a container ends all nodes of it: then what its container has degrades. The name of a container stands for
+    a crash of it, which ends all of its nodes.
     """
     specification = load(file)
     found = impacts(specification, nodes)

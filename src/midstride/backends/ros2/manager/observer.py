@@ -94,8 +94,9 @@ def _look(node: Any, graph: ObservedGraph, writes: SeenWrites | None) -> None:
         graph.saw(publishers)
         graph.saw(_endpoint(info, topic, False) for info in read)
         wanted = [each for each in publishers if not each.is_infrastructure]
-        counted = writes is not None and all(writes.counts(each.node, topic) for each in wanted)
-        if wanted and topic not in graph.subscribed and not counted:
+        if not wanted or topic in graph.subscribed:
+            continue
+        if writes is None or not all(writes.counts(each.node, topic) for each in wanted):
             graph.subscribed.add(topic)
             _subscribe(node, graph, wanted)
     _look_at_services(node, graph)

@@ -34,11 +34,11 @@ class _Output:
     lost: bool = False  # it is no longer the same, or not the only one
 
     def look(self, before: float, now: float) -> None:
-        """Note when messages were written since the last look, at ``before``.
+        """Note when messages were written since the last look, at ``before``, or since it was found.
 
         Of more than the page has, the last ones: what was noted before says nothing of the gap.
         """
-        written = int(self.port.written)
+        written, before = int(self.port.written), max(before, self.since)
         if written < self.count:
             self.lost = True
             return
@@ -100,6 +100,8 @@ class SeenWrites:
 
         For an output that nobody reads, one may be: it may write for readers only.
         """
+        if self._find(node, topic) is None:  # the graph may show an output before the next look for new ones
+            self._search(self._now())
         if (output := self._find(node, topic)) is None:
             return False
         if output.count:
