@@ -63,7 +63,12 @@ def test_no_subscription_is_made_where_the_library_counts(
             modes={},
         ).write(tmp_path)
         with Bare() as bare:
-            until(lambda: all(map(bare.node.count_publishers, ("/counted", "/plain"))), "they are not in the graph")
+
+            def nodes() -> list[str]:
+                found = map(bare.node.get_publishers_info_by_topic, ("/counted", "/plain"))
+                return [info.node_name for among in found for info in among]
+
+            until(lambda: nodes() == ["within", "plain"], "they are not in the graph")
             at_once = ObservedGraph()
             observer._look(bare.node, at_once, SeenWrites(SeenNodes(tmp_path)))
         assert at_once.subscribed == {"/plain"}, "the graph showed them before the first look at the counts"

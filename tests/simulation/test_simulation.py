@@ -120,7 +120,8 @@ def test_services_and_actions_of_a_specification_are_simulated() -> None:
     assert "done" in summary.outcomes
 
 
-def test_a_container_of_a_specification_is_simulated() -> None:
+@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 40), marks=pytest.mark.full)], ids=str)
+def test_a_container_of_a_specification_is_simulated(seeds: range) -> None:
     """A crash of one of its nodes is a crash of all: each seed must bring all of them back."""
     text = """
         system grouped
@@ -147,11 +148,13 @@ def test_a_container_of_a_specification_is_simulated() -> None:
         node apart : Hearer { in <- /b }
     """
     specification = load_text(text).require()
+    done = crashed = 0
     for restart, same in ((("box",), False), (("one",), False), (("one",), True)):
         request = PlanRequest(restart=restart, same_process=same).for_members(specification)
-        summary, crashed = Summary(), 0
-        for run in simulate_many(range(40), rehearsed(specification, request)):
+        summary = Summary()
+        for run in simulate_many(seeds, rehearsed(specification, request)):
             summary.add(run)
             crashed += any(each.fault == "crash" for each in run.struck)
         assert not summary.failed, "\n".join(f"{run.seed}: {'; '.join(run.problems)}" for run in summary.failed)
-        assert summary.outcomes["done"] > 0 < crashed
+        done += summary.outcomes["done"]
+    assert done > 0 < crashed
