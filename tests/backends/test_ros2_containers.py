@@ -32,13 +32,21 @@ COMPONENT = load_text(TEXT.replace("gate preload", "gate none")).require().compo
 
 
 class World:
-    """What the container has, as its services say it; ``hung``: the nodes whose load it does not answer yet."""
+    """What the container has, as its services say it; ``hung``: the nodes whose load it does not answer yet.
+
+    ``refused``: how often it does not unload; ``asked``: the nodes that it was asked to unload, with each request;
+    ``left``: those that nothing was to call any more. ``mute``: it does not answer
+    such a request.
+    """
 
     def __init__(self) -> None:
         self.nodes: list[str] = []
         self.hung: dict[str, asyncio.Future[str | None]] = {}
         self.unloading = asyncio.Event()
         self.unloading.set()
+        self.refused, self.mute = 0, False
+        self.asked: list[str] = []
+        self.left: list[str] = []
 
     def finish(self, node: str) -> None:
         """The constructor of ``node`` returns."""
@@ -47,7 +55,7 @@ class World:
 
 
 def services(world: World) -> type:
-    from midstride.backends.ros2.manager.container_services import LoadUnanswered
+    from midstride.backends.ros2.manager.container_services import LoadUnanswered, UnloadUnanswered
 
     class Services:
         def __init__(self, node: Any, name: str) -> None: ...
@@ -61,10 +69,22 @@ def services(world: World) -> type:
             world.nodes.append(request.node)
 
         async def unload(self, node: str, timeout: float) -> None:
+            assert node in world.left, "nothing calls a node that is to be unloaded"
+            world.asked.append(node)
+            if world.mute:
+                raise UnloadUnanswered("unload_node has not answered")
             await world.unloading.wait()
             if world.hung:
                 raise BackendError("it does not answer")
+            if world.refused:
+                world.refused -= 1
+                raise BackendError("it refuses")
             world.nodes.remove(node)
+
+        async def until_gone(self, node: str) -> None:
+            await world.unloading.wait()
+            while node in world.nodes:
+                await asyncio.sleep(0.001)
 
         async def until_known(self, node: str, is_loading: Any) -> str | None:
             if node in world.hung:
@@ -85,6 +105,13 @@ class Made:
         monkeypatch.setattr(container_backend, "_AGAIN", 0.01)
         monkeypatch.setattr(container_backend, "_UNLOAD", 0.2)
         monkeypatch.setattr(ForeignNodes, "_answer", self._answer)
+        leaves = ForeignNodes.leaves
+
+        async def noted(nodes: ForeignNodes, record: ForeignRecord, now: bool = True) -> None:
+            await leaves(nodes, record, now)
+            (self.world.left.append if now else self.world.left.remove)(record.node)
+
+        monkeypatch.setattr(ForeignNodes, "leaves", noted)
         self.exits: list[Exited] = []
         self.folder = folder
         self.backend: Any = self.another()
@@ -286,5 +313,125 @@ def test_a_roll_back_loads_a_node_where_it_was_although_its_library_is_another_n
             await made.start("b")
         await made.start("b", returns=True)
         await made.until(lambda: made.world.nodes == ["/a", "/b"])
+
+    run(made, body())
+
+
+def test_a_node_that_was_being_unloaded_as_the_manager_died_is_unloaded_by_the_next_one(made: Made) -> None:
+    """Nothing calls it any more: it is not kept as one that runs."""
+
+    async def body() -> None:
+        handles, folder = (
+            [await made.start(instance) for instance in ("a", "b")],
+            made.folder / "control" / GATES_FOLDER,
+        )
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+        made.world.unloading.clear()
+        ending = asyncio.ensure_future(made.backend.end("b", DEFAULT_STOP))
+        await made.until(lambda: made.world.asked)
+        ending.cancel()
+        await asyncio.wait({ending})
+        record = ForeignRecord.read(folder, "b")
+        assert record is not None and not record.loaded
+        made.world.unloading.set()
+        made.world.left.clear()
+        made.shared.process.close()
+        made.backend = made.another()
+        assert [await made.backend._adopt_shared(handle) for handle in handles] == [True, False]
+        assert (made.world.nodes, made.world.left) == (["/a"], ["/b"])
+
+    run(made, body())
+
+
+def test_a_node_that_is_not_unloaded_goes_on_also_for_the_next_manager(made: Made) -> None:
+    async def body() -> None:
+        handles = [await made.start(instance) for instance in ("a", "b")]
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+        made.world.refused = 1
+        with pytest.raises(BackendError, match=r"b goes on in box: it refuses. It can only end with its container"):
+            await made.backend.end("b", DEFAULT_STOP)
+        assert made.world.left == [], "it is called again"
+        made.shared.process.close()
+        made.backend = made.another()
+        assert [await made.backend._adopt_shared(handle) for handle in handles] == [True, True]
+
+    run(made, body())
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["late", "asked again"])
+def test_an_unload_that_is_not_answered_may_still_be_carried_out(made: Made, again: bool) -> None:
+    """Until it is, the node is not called; then it has exited, but for one that was ended once more."""
+
+    async def body() -> None:
+        for instance in ("a", "b"):
+            await made.start(instance)
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+        made.world.mute = True
+        made.world.unloading.clear()
+        with pytest.raises(
+            BackendError, match=r"b may still end in box, .* until then it is not known: unload_node has"
+        ):
+            await made.backend.end("b", DEFAULT_STOP)
+        assert (made.world.left, made.shared.members) == (["/b"], {"a", "b"})
+        made.world.mute = False
+        made.world.unloading.set()
+        if again:
+            await made.backend.end("b", DEFAULT_STOP)
+            assert (made.exits, made.world.nodes) == ([], ["/a"])
+        else:
+            made.world.nodes.remove("/b")
+            await made.until(lambda: made.exits)
+            assert [each.words for each in made.exits] == [
+                "b has ended: box has unloaded it after all, as it was asked to"
+            ]
+        assert (made.shared.members, made.shared.unloads) == ({"a"}, {})
+        assert ForeignRecord.read(made.folder / "control" / GATES_FOLDER, "b") is None
+        assert made.shared.process.running
+
+    run(made, body())
+
+
+def test_a_late_node_that_is_not_unloaded_is_said_once(made: Made, caplog: pytest.LogCaptureFixture) -> None:
+    async def body() -> None:
+        await made.start("a")
+        await made.until(lambda: made.world.nodes == ["/a"])
+        made.world.hung["/b"] = asyncio.get_running_loop().create_future()
+        await made.start("b")
+        await made.until(lambda: made.exits)
+        made.world.refused = 3
+        made.world.finish("/b")
+        await made.until(lambda: not made.shared.unanswered)
+        assert (made.world.nodes, made.world.asked) == (["/a"], ["/b"] * 4)
+        said = [each.getMessage() for each in caplog.records if "is to go" in each.getMessage()]
+        assert said == ["/b is in it, and is to go: it refuses; box is asked again until it has unloaded it"]
+
+    run(made, body())
+
+
+@pytest.mark.parametrize("opened", [True, False])
+def test_a_node_leaves_also_where_the_page_is_of_an_earlier_manager(made: Made, opened: bool) -> None:
+    """Its library is told before the node is unloaded; with what an agent knows of it, which is not lost."""
+
+    async def body() -> None:
+        await made.start("a")
+        await made.until(lambda: made.world.nodes == ["/a"])
+        nodes, page = made.backend._foreign_nodes, Mock()
+        record = ForeignRecord.read(made.folder / "control" / GATES_FOLDER, "a")
+        assert record is not None
+
+        async def open_page(environment: Any) -> tuple[Mock, Path]:
+            assert not opened
+            return page, made.folder
+
+        nodes._page, nodes._opened = page if opened else None, open_page
+        record = structs.replace(record, index=3)
+        changed: list[dict[str, bool]] = []
+        nodes._agents["a"] = Mock(node=Mock(record=record, change_record=lambda **changes: changed.append(changes)))
+        for now in (True, False):
+            await nodes.leaves(record, now)
+        assert [call.args for call in page.leaves.call_args_list] == [(3, True), (3, False)]
+        assert changed == [{"loaded": False}, {"loaded": True}]
+        del nodes._agents["a"]
+        nodes._page = None
 
     run(made, body())

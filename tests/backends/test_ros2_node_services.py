@@ -113,6 +113,55 @@ def test_a_container_is_asked_once_to_load_a_node(loads: float, monkeypatch: pyt
     assert len(container.asked) == 1
 
 
+@pytest.mark.parametrize("offers", [True, False], ids=["sent", "not sent"])
+@pytest.mark.parametrize("fails", [True, False], ids=["fails", "silent"])
+def test_an_unload_that_was_sent_and_is_not_answered_may_still_be_carried_out(
+    offers: bool, fails: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from midstride.backends.ros2.manager import container_services
+
+    interfaces: Any = ModuleType("composition_interfaces.srv")
+    interfaces.UnloadNode, interfaces.ListNodes = MagicMock(), MagicMock()
+    monkeypatch.setitem(sys.modules, "composition_interfaces", ModuleType("composition_interfaces"))
+    monkeypatch.setitem(sys.modules, "composition_interfaces.srv", interfaces)
+    container = Container(0.0)
+    container.asked.append(0.0)
+
+    def client(type_: str, name: str, callback_group: Any = None) -> MagicMock:
+        found = container.client(type_, name)
+        if name.endswith("unload_node"):
+            found.handle.send_request.side_effect = lambda _: 7
+            found.handle.take_response.side_effect = RuntimeError("no memory") if fails else lambda _: None
+            found.service_is_ready.return_value = offers
+        return found
+
+    services = container_services.ContainerServices(Mock(create_client=client), "/box")
+    with pytest.raises(BackendError, match="/front/talker is not unloaded: ") as raised:
+        run(services.unload("/front/talker", 2.0))
+    assert isinstance(raised.value, container_services.UnloadUnanswered) == offers
+
+
+@pytest.mark.parametrize("loads", [0.5, 4.0])
+def test_a_node_is_gone_once_its_container_says_so(loads: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    from midstride.backends.ros2.manager import container_services
+
+    services = container_services.ContainerServices(Mock(), "/box")
+
+    async def body() -> float:
+        loop = asyncio.get_running_loop()
+
+        async def nodes(timeout: float) -> dict[int, str]:
+            if loop.time() < loads / 2:
+                raise NoAnswer("busy")
+            return {1: "/front/talker"} if loop.time() < loads else {}
+
+        monkeypatch.setattr(services, "_nodes", nodes)
+        await services.until_gone("/front/talker")
+        return loop.time()
+
+    assert loads <= run(body()) < loads + 1.1
+
+
 def test_the_shown_command_gives_texts_as_texts() -> None:
     """Of `5`, `ros2 component load` would make an integer, and of `true` a truth value."""
     import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without

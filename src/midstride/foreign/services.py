@@ -9,7 +9,11 @@ from midstride.errors import BackendError
 
 
 class NoAnswer(BackendError):
-    """The node has not answered a request in time, or does not serve it."""
+    """The node has not answered a request in time, or does not serve it. ``sent``: the request may have reached it."""
+
+    def __init__(self, words: str, *, sent: bool = False) -> None:
+        super().__init__(words)
+        self.sent = sent
 
 
 class ParameterSetter(Protocol):

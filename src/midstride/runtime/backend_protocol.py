@@ -249,9 +249,9 @@ class Backend(Protocol):
     async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
         """End a started component, with all that it has started. Returns once it has exited: what had to be killed.
 
-        The value says whether it had to be killed, since it had not exited within ``grace``.
-
-        What the graph still shows of it is ignored from then on, even if its process had exited before.
+        ``stop``: how long each request to exit may take before that. What the graph still shows of it is ignored from
+        then on, even if its process had exited before. Raises BackendError where its process has other nodes, and it
+        alone could not be ended: then it goes on, or it is not known whether it does.
         """
 
     def keep_spares(self, number: int, token: str) -> None:

@@ -227,7 +227,7 @@ void note_receipt(struct entry *entry, const struct message_info *info);
 
 /* This thread is about to call a node of the page (index + 1; 0: another one). */
 void begin_call(unsigned me);
-/* Whether nothing is to call a node any more, since it is about to be unloaded. */
+/* Whether no timer, and no message on its ports, is to call a node any more, since it is about to be unloaded. */
 bool has_to_leave(unsigned me);
 /* The timers of a node that is not unloaded after all call it again. With `lock`. */
 void resume_timers(void);

@@ -19,7 +19,8 @@ def room_for_copies(
     """Yield how much memory ``plan`` needs besides, where a new process of a container runs beside the old one.
 
     ``pids``: the process of each instance that runs. The new process counts with what the old ones have now. Raises
-    PlanRefused where there is less.
+    PlanRefused where there is less. For shared memory nothing is refused: a process has pages of its peers there as
+    well, of which a new one needs no second copy.
     """
     needed = Memory(0, 0)
     names: list[str] = []
@@ -39,16 +40,17 @@ def room_for_copies(
     if left is None:
         yield f"{what}needs about {_size(needed.own)} of memory; how much is left is not known"
         return
-    for amount, room, where in (
-        (needed.own, left.own, "memory"),
-        (needed.shared, left.shared, f"shared memory ({SHARED})"),
-    ):
-        if amount > room:
-            raise PlanRefused(
-                f"{what}needs about {_size(amount)} of {where}, as much as the old process has, and {_size(room)} "
-                "are left; end something, or restart its nodes one at a time, each in a process for itself"
-            )
+    if needed.own > left.own:
+        raise PlanRefused(
+            f"{what}needs about {_size(needed.own)} of memory, as much as the old process has, and {_size(left.own)} "
+            "are left; end something, or restart its nodes one at a time, each in a process for itself"
+        )
     yield f"{what}needs about {_size(needed.own)} of memory, and {_size(left.own)} are left"
+    if needed.shared > left.shared:
+        yield (
+            f"{what}may need up to {_size(needed.shared)} of shared memory ({SHARED}), of which {_size(left.shared)} "
+            "are left; how much of that others have made is not known"
+        )
 
 
 def _copied(plan: Plan) -> dict[str, list[str]]:

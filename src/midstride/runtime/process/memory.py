@@ -17,7 +17,8 @@ _ENTRY: Final = re.compile(r"^(\w+):\s+(\d+) kB$", re.MULTILINE)
 
 class Memory(NamedTuple):
     """Amounts of memory (bytes). ``own``: that no file is behind, in RAM or swapped out; a second process of the same
-    program shares the rest with the first. ``shared``: in the files of shared memory.
+    program shares the rest with the first. ``shared``: in the files of shared memory, those of other processes included
+    that it has mapped.
     """
 
     own: int

@@ -21,7 +21,12 @@ from midstride.ament_index import component_library
 from midstride.backends import processes
 from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2.manager.component_containers import LoadRequest
-from midstride.backends.ros2.manager.container_services import ContainerServices, LateResponse, LoadUnanswered
+from midstride.backends.ros2.manager.container_services import (
+    ContainerServices,
+    LateResponse,
+    LoadUnanswered,
+    UnloadUnanswered,
+)
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.node_owner import node_owner
@@ -41,8 +46,9 @@ from midstride.wire.environment import ENV_INSTANCE
 
 # How long a container may take to say what it has loaded, once it has not loaded a node (s).
 _UNLOAD: Final = 2.0
-# How long after that it is asked again to unload a node (s).
+# How long after that it is asked again to unload a node (s): at first, and at most; each pause is twice the last one.
 _AGAIN: Final = 1.0
+_LONGEST_PAUSE: Final = 60.0
 
 log = logging.getLogger(__name__)
 
@@ -197,15 +203,19 @@ class ContainerBackend(ProcessBackend):
         late: LateResponse,
     ) -> None:
         try:
-            is_there = await late is None
+            is_there, pause = await late is None, _AGAIN
             while is_there:
                 try:
                     async with shared.loading:
+                        await self._foreign_nodes.leaves(record)
                         await services.unload(record.node, _UNLOAD)
                     is_there = False
                 except BackendError as error:
-                    log.warning("%s is there at last, and is to go: %s", record.node, error)
-                    await asyncio.sleep(_AGAIN)
+                    if pause == _AGAIN:  # once
+                        again = f"{shared.name} is asked again until it has unloaded it"
+                        log.warning("%s is in it, and is to go: %s; %s", record.node, error, again)
+                    await asyncio.sleep(pause)
+                    pause = min(2 * pause, _LONGEST_PAUSE)
         except BackendError as error:  # it cannot be asked any more
             log.error("%s: %s", record.instance, error)
             return
@@ -244,6 +254,7 @@ class ContainerBackend(ProcessBackend):
                     await self._unload(shared, instance, _UNLOAD)
                 except BackendError as error:
                     log.error("%s", error)
+                    shared.wait_no_more(instance)
                     await self._take_back(shared, record)
             shared.members.discard(instance)
             self._processes.pop(instance, None)
@@ -323,6 +334,7 @@ class ContainerBackend(ProcessBackend):
         node = full_name(instance) if record is None else record.node
         shared.members.discard(instance)
         shared.leaving.add(instance)
+        shared.wait_no_more(instance)
         services = ContainerServices(self._node, full_name(shared.name))
         try:
             async with shared.loading:
@@ -342,6 +354,9 @@ class ContainerBackend(ProcessBackend):
         except BackendError as error:
             if shared.process.running:
                 shared.members.add(instance)
+                if isinstance(error, UnloadUnanswered):
+                    self._await_unloaded(shared, instance, node)
+                    raise BackendError(shared.why_unknown(instance, str(error))) from None
                 await self._foreign_nodes.leaves(record, now=False)
                 raise BackendError(
                     f"{instance} goes on in {shared.name}: {error}. It can only end with its container, by "
@@ -353,6 +368,27 @@ class ContainerBackend(ProcessBackend):
                 services.close()
         self._processes.pop(instance, None)
         self._foreign_nodes.gone(instance)
+
+    def _await_unloaded(self, shared: SharedProcess, instance: str, node: str) -> None:
+        """Have the instance count as one that has exited, once its container does not have the node any more."""
+
+        async def wait() -> None:
+            services = ContainerServices(self._node, full_name(shared.name))
+            try:
+                await services.until_gone(node)
+            finally:
+                if self._context is not None:
+                    services.close()
+            shared.unloads.pop(instance, None)
+            shared.members.discard(instance)
+            self._processes.pop(instance, None)
+            self._foreign_nodes.gone(instance)
+            words = f"{instance} has ended: {shared.name} has unloaded it after all, as it was asked to"
+            self._on_exit(Exited(instance, None, "", words))
+
+        task = shared.unloads[instance] = asyncio.get_running_loop().create_task(wait())
+        shared.tasks.add(task)
+        task.add_done_callback(shared.tasks.discard)
 
     def _shared_has_ended(self, shared: SharedProcess, how: str) -> None:
         if not self._shared.remove(shared):

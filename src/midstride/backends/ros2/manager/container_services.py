@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any, Final, TypeAlias
 
 from rclpy.parameter import Parameter
@@ -39,6 +40,10 @@ class LoadUnanswered(BackendError):
     def __init__(self, words: str, late: LateResponse) -> None:
         super().__init__(words)
         self.late = late
+
+
+class UnloadUnanswered(BackendError):
+    """A container has not answered in time a request to unload a node, and may unload it still."""
 
 
 class ContainerServices(RosNodeServices):
@@ -131,18 +136,33 @@ class ContainerServices(RosNodeServices):
         return "the container does not have it"
 
     async def unload(self, node: str, timeout: float) -> None:
-        """Have the node with that full name unloaded, if it is loaded. Raises BackendError: why it is not."""
+        """Have the node with that full name unloaded, if it is loaded, within ``timeout`` (s) for each request.
+
+        Raises BackendError: it is not; UnloadUnanswered: it may be.
+        """
         from composition_interfaces.srv import UnloadNode
 
         try:
             numbers = [number for number, name in (await self._nodes(timeout)).items() if name == node]
-            for number in numbers:
-                request = UnloadNode.Request(unique_id=number)
-                response = await self._call(UnloadNode, _UNLOAD, timeout, request)
-                if not response.success:
-                    raise BackendError(f"{self._name} has not unloaded {node}: {response.error_message or 'no reason'}")
         except NoAnswer as error:
             raise BackendError(f"{node} is not unloaded: {error}") from None
+        for number in numbers:
+            request = UnloadNode.Request(unique_id=number)
+            try:
+                response = await self._call(UnloadNode, _UNLOAD, timeout, request)
+            except NoAnswer as error:
+                kind = UnloadUnanswered if error.sent else BackendError
+                raise kind(f"{node} is not unloaded: {error}") from None
+            if not response.success:
+                raise BackendError(f"{self._name} has not unloaded {node}: {response.error_message or 'no reason'}")
+
+    async def until_gone(self, node: str) -> None:
+        """Wait until it says that it does not have the node with that full name."""
+        while True:
+            with suppress(NoAnswer):
+                if node not in (await self._nodes(AGAIN)).values():
+                    return
+            await asyncio.sleep(AGAIN)
 
 
 def _messages(values: Mapping[str, Any]) -> list[Any]:

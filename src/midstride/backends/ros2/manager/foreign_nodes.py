@@ -464,15 +464,34 @@ class ForeignNodes:
         return lambda: time.monotonic() < over
 
     async def leaves(self, record: ForeignRecord | None, now: bool = True) -> None:
-        """Have nothing call a node that is to be unloaded, and wait for calls that have begun; not ``now``: it stays.
+        """Have no timer, and no message on its ports, call a node that is to be unloaded; not ``now``: it stays.
 
-        An executor with several threads would destroy it during a call, with which the process ends.
+        Calls that have begun get ``_LAST_CALLS`` s: an executor with several threads would destroy the node during a
+        call, with which the process ends. That it is to go is in its record before: otherwise, if this manager died,
+        the next one would keep a node that nothing calls.
         """
-        if record is None or record.index is None or self._page is None:
+        if record is None:
             return
-        self._page.leaves(record.index, now)
         if now:
-            await asyncio.sleep(_LAST_CALLS)
+            self._note_loaded(record, False)
+        if record.index is not None:
+            with suppress(BackendError):  # without the library here, it is unloaded all the same
+                page = self._page or (await self._opened(os.environ))[0]
+                page.leaves(record.index, now)
+                if now:
+                    await asyncio.sleep(_LAST_CALLS)
+        if not now:
+            self._note_loaded(record, True)
+
+    def _note_loaded(self, record: ForeignRecord, loaded: bool) -> None:
+        """Write whether the container of ``record`` has the node, and is to keep it."""
+        if (agent := self._agents.get(record.instance)) is not None and agent.node.record.uuid == record.uuid:
+            agent.node.change_record(loaded=loaded)
+            return
+        try:
+            replace(record, loaded=loaded).write(self._folder)
+        except BackendError as error:
+            log.error("%s", error)
 
     async def adopt(self, instance: str) -> None:
         """The process of an earlier manager runs: answer for it, if it has no agent inside it. Raises BackendError."""

@@ -174,7 +174,7 @@ class RosNodeServices:
         try:
             return await self._response(type_, service, timeout, request, lost)
         except RuntimeError as error:  # the base of rclpy's own kinds: no memory left, or the client was destroyed
-            raise NoAnswer(f"{self._name}/{service} cannot be asked: {error}") from error
+            raise NoAnswer(f"{self._name}/{service} cannot be asked: {error}", sent=True) from error
 
     async def _response(self, type_: Any, service: str, timeout: float, request: Any, lost: Lost | None) -> Any:
         loop = asyncio.get_running_loop()
@@ -190,7 +190,7 @@ class RosNodeServices:
         try:
             while not answered.done():
                 if loop.time() >= deadline:
-                    raise NoAnswer(f"{name} has not answered within {timeout:.3g} s")
+                    raise NoAnswer(f"{name} has not answered within {timeout:.3g} s", sent=sent > 0)
                 if loop.time() >= sent + AGAIN and (sent < 0 or lost is None or await lost()):
                     with client.handle:
                         waiting[client.handle.send_request(request or type_.Request())] = answered

@@ -21,7 +21,8 @@ class SharedProcess:
     ``members``: the instances that are in it, or are about to be loaded; ``leaving``: those that are being unloaded.
     ``loading``: held while it loads or unloads. ``loads``: the instance that it is asked to load now; empty: none.
     ``unanswered``: by instance, the nodes that it was asked to load, and has not said whether it has; these are no
-    members. ``tasks``: which wait for them.
+    members. ``unloads``: by instance, what waits until a node is gone that it was asked to unload, and has not said
+    whether it does; these are members. ``tasks``: all that waits for either.
     """
 
     name: str
@@ -32,6 +33,7 @@ class SharedProcess:
     loading: asyncio.Lock = field(default_factory=asyncio.Lock)
     loads: str = ""
     unanswered: dict[str, ForeignRecord] = field(default_factory=dict)
+    unloads: dict[str, asyncio.Task[None]] = field(default_factory=dict)
     tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
     def why_busy(self, instance: str) -> str:
@@ -41,6 +43,19 @@ class SharedProcess:
             f"has returned; it ends only with that process. `midstride restart {self.name}` moves the others to a new "
             f"one, and `kill -9 {self.process.pid}` ends all of them"
         )
+
+    def why_unknown(self, instance: str, why: str) -> str:
+        """Say that ``instance`` was asked to end, and may or may not; ``why``: what its container has not answered."""
+        return (
+            f"{instance} may still end in {self.name}, which has not answered; until then it is not known: {why}. With "
+            "a gate, its timers and the messages on its ports do not call it any more. It certainly ends with its "
+            f"container, by `midstride restart {self.name}`, or when that is killed (process {self.process.pid})"
+        )
+
+    def wait_no_more(self, instance: str) -> None:
+        """Nothing waits any more until ``instance`` is gone, where it was asked to unload that."""
+        if (waits := self.unloads.pop(instance, None)) is not None:
+            waits.cancel()
 
     def require_answering(self, instance: str) -> None:
         """Raises StartFailed where a request to load a node is not answered."""
