@@ -963,8 +963,7 @@ def test_standalone(tmp_path: Path) -> None:
             heard: list[str] = []
             bare.node.create_subscription(String, "/alone", lambda message: heard.append(message.data), 10)
             try:
-                await bare.until(lambda: len(heard) > 5)
-                assert "soloist" in bare.node.get_node_names()
+                await bare.until(lambda: len(heard) > 5 and "soloist" in bare.node.get_node_names())
             finally:
                 process.terminate()
             _, words = process.communicate(timeout=20)
