@@ -22,7 +22,7 @@ from midstride.plan.core.core_search import PartResult, PartSearch
 from midstride.plan.disruption import Levels
 from tests.plan import systems
 from tests.plan.test_core import between
-from tests.plan.test_core_ends import shared
+from tests.plan.test_replacements_first_or_last import shared
 
 Family: TypeAlias = Callable[[Random, int], tuple[Specification, Specification]]
 
