@@ -165,6 +165,15 @@ class Made:
         found: Handle = await self.backend._start_shared(launch, COMPONENT, name, ("sleep", "600"), programs)
         return found
 
+    async def load_first(self) -> None:
+        """Start `a`, in a new process."""
+        await self.start("a")
+        await self.until(lambda: self.world.nodes == ["/a"])
+
+    def hang(self, instance: str) -> None:
+        """Have the constructor of ``instance`` not return."""
+        self.world.hung[f"/{instance}"] = asyncio.get_running_loop().create_future()
+
     @property
     def shared(self) -> SharedProcess:
         found: SharedProcess = self.backend._shared["box"]
@@ -199,9 +208,8 @@ def run(made: Made, body: Coroutine[Any, Any, None]) -> None:
 
 def test_a_node_whose_constructor_hangs_is_known_until_it_is_there_and_then_unloaded(made: Made) -> None:
     async def body() -> None:
-        await made.start("a")
-        await made.until(lambda: made.world.nodes == ["/a"])
-        made.world.hung["/b"] = asyncio.get_running_loop().create_future()
+        await made.load_first()
+        made.hang("b")
         await made.start("b")
         await made.until(lambda: made.exits)
         [exited] = made.exits
@@ -226,9 +234,8 @@ def test_a_node_whose_constructor_hangs_is_known_until_it_is_there_and_then_unlo
 
 def test_one_that_hangs_ends_with_its_container(made: Made) -> None:
     async def body() -> None:
-        await made.start("a")
-        await made.until(lambda: made.world.nodes == ["/a"])
-        made.world.hung["/b"] = asyncio.get_running_loop().create_future()
+        await made.load_first()
+        made.hang("b")
         await made.start("b")
         await made.until(lambda: made.exits)
         process = made.shared.process
@@ -249,7 +256,7 @@ def test_another_manager_unloads_what_the_one_before_has_asked_for(made: Made) -
         handle, folder = await made.start("a"), made.folder / "control" / GATES_FOLDER
         await made.until(lambda: made.world.nodes == ["/a"])
         for hung in ("b", "c"):  # the manager was killed as it loaded c, and knew that b hung
-            made.world.hung[f"/{hung}"] = asyncio.get_running_loop().create_future()
+            made.hang(hung)
             record = ForeignRecord.read(folder, "a")
             assert record is not None
             structs.replace(record, instance=hung, role=hung, node=f"/{hung}", loaded=False).write(folder)
@@ -268,8 +275,7 @@ def test_another_manager_unloads_what_the_one_before_has_asked_for(made: Made) -
 
 def test_a_node_that_comes_as_the_last_one_ends_gets_a_new_process(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     async def body() -> None:
-        await made.start("a")
-        await made.until(lambda: made.world.nodes == ["/a"])
+        await made.load_first()
         first = made.shared.process
         ending = asyncio.ensure_future(made.backend.end("a", DEFAULT_STOP))
         while not first._ending:
@@ -393,9 +399,8 @@ def test_an_unload_that_is_not_answered_may_still_be_carried_out(made: Made, aga
 
 def test_a_late_node_that_is_not_unloaded_is_said_once(made: Made, caplog: pytest.LogCaptureFixture) -> None:
     async def body() -> None:
-        await made.start("a")
-        await made.until(lambda: made.world.nodes == ["/a"])
-        made.world.hung["/b"] = asyncio.get_running_loop().create_future()
+        await made.load_first()
+        made.hang("b")
         await made.start("b")
         await made.until(lambda: made.exits)
         made.world.refused = 3
@@ -413,8 +418,7 @@ def test_a_node_leaves_also_where_the_page_is_of_an_earlier_manager(made: Made, 
     """Its library is told before the node is unloaded; with what an agent knows of it, which is not lost."""
 
     async def body() -> None:
-        await made.start("a")
-        await made.until(lambda: made.world.nodes == ["/a"])
+        await made.load_first()
         nodes, page = made.backend._foreign_nodes, Mock()
         record = ForeignRecord.read(made.folder / "control" / GATES_FOLDER, "a")
         assert record is not None

@@ -189,11 +189,8 @@ class ContainerBackend(ProcessBackend):
         late: LateResponse,
     ) -> asyncio.Task[None]:
         """Remember that a request to load is not answered. Once the node is there, it is unloaded, and forgotten."""
-        task = asyncio.get_running_loop().create_task(self._unload_late(shared, record, services, late))
         shared.unanswered[record.instance] = record
-        shared.tasks.add(task)
-        task.add_done_callback(shared.tasks.discard)
-        return task
+        return shared.wait(self._unload_late(shared, record, services, late))
 
     async def _unload_late(
         self,
@@ -386,9 +383,7 @@ class ContainerBackend(ProcessBackend):
             words = f"{instance} has ended: {shared.name} has unloaded it after all, as it was asked to"
             self._on_exit(Exited(instance, None, "", words))
 
-        task = shared.unloads[instance] = asyncio.get_running_loop().create_task(wait())
-        shared.tasks.add(task)
-        task.add_done_callback(shared.tasks.discard)
+        shared.unloads[instance] = shared.wait(wait())
 
     def _shared_has_ended(self, shared: SharedProcess, how: str) -> None:
         if not self._shared.remove(shared):

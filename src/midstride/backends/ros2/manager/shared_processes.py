@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Container, Iterator
+from collections.abc import Container, Coroutine, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from midstride.errors import StartFailed
 from midstride.foreign.record import ForeignRecord
@@ -56,6 +57,13 @@ class SharedProcess:
         """Nothing waits any more until ``instance`` is gone, where it was asked to unload that."""
         if (waits := self.unloads.pop(instance, None)) is not None:
             waits.cancel()
+
+    def wait(self, until: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Have ``until`` run as long as this process does."""
+        task = asyncio.get_running_loop().create_task(until)
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
+        return task
 
     def require_answering(self, instance: str) -> None:
         """Raises StartFailed where a request to load a node is not answered."""
