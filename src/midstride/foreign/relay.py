@@ -154,7 +154,7 @@ class Relay:
         return published is not None and published < self.stale_before
 
     def forget_kept(self) -> None:
-        """Repeat to nobody what has been published so far. On the data thread."""
+        """Have later subscribers get nothing of what has been published so far. On the data thread."""
         self.waiting.clear()
         for kept in (self.output.kept, *(link.kept for link in self.output.links)):
             kept.clear()

@@ -24,7 +24,7 @@ class RelayedOutput(Protocol):
     stale_before: int
 
     def forget_kept(self) -> None:
-        """Repeat to nobody what has been published so far. On the data thread."""
+        """Have later subscribers get nothing of what has been published so far. On the data thread."""
 
 
 class RelayedState:

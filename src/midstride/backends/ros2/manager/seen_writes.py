@@ -18,7 +18,7 @@ from midstride.foreign.page_layout import NODE, OUTPUT, WRITES, PagePort, Within
 # How often the counts are read, and how often it is looked for new outputs (s).
 EVERY: Final = 0.02
 OUTPUTS_EVERY: Final = 0.5
-# An output that nobody reads and that has written nothing for so long (s) may write for readers only.
+# An output without a reader that has written nothing for so long (s) may write only while it has one.
 SILENT: Final = 2.0
 _WRAP: Final = 2**32
 
@@ -98,7 +98,7 @@ class SeenWrites:
     def counts(self, node: str, topic: str) -> bool:
         """Return whether no subscription is needed for what a ROS node, by its full name, publishes on ``topic``.
 
-        For an output that nobody reads, one may be: it may write for readers only.
+        For an output without a reader, one may be: it may write only while it has one.
         """
         if self._find(node, topic) is None:  # the graph may show an output before the next look for new ones
             self._search(self._now())
