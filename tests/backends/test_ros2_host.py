@@ -943,6 +943,20 @@ def test_acknowledgement_is_unknown_where_a_reader_has_frozen(tmp_path: Path) ->
     run(scenario())
 
 
+def test_the_process_of_a_component_imports_nothing_of_the_manager() -> None:
+    """What it imports delays each start."""
+    code = """
+import sys, midstride
+midstride.Component
+import midstride.backends.ros2.component.host
+print(*sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    packages = {name.split(".")[1] for name in done.stdout.split() if name.startswith("midstride.")}
+    assert "backends" in packages
+    assert not packages & {"capture", "cli", "lang", "plan", "runtime", "server", "verdicts", "verify"}
+
+
 def test_standalone(tmp_path: Path) -> None:
     async def scenario() -> None:
         from std_msgs.msg import String

@@ -5,14 +5,16 @@ from __future__ import annotations
 import asyncio
 import importlib.util
 from collections.abc import Coroutine
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from midstride.backends import ros1, ros2
 from midstride.errors import BackendError
 from midstride.node.process_context import installed
-from midstride.runtime.backend_protocol import Backend
-from midstride.runtime.process.reaper import Reaper
-from midstride.runtime.workspace import Workspace
+
+if TYPE_CHECKING:  # the process of a component imports this package, and none of those
+    from midstride.runtime.backend_protocol import Backend
+    from midstride.runtime.process.reaper import Reaper
+    from midstride.runtime.workspace import Workspace
 
 PUBLIC = "KEPT_OF_LOG LONGEST_LOG listens message_class"
 

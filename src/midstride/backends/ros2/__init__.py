@@ -10,14 +10,16 @@ import inspect
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from midstride.backends import common_messages
-from midstride.capture.observed import ObservedGraph
 from midstride.errors import BackendError
 from midstride.node.component_host import Host
-from midstride.runtime.backend_protocol import Backend
-from midstride.runtime.process.reaper import Reaper
+
+if TYPE_CHECKING:  # the process of a component imports this package, and none of those
+    from midstride.capture.observed import ObservedGraph
+    from midstride.runtime.backend_protocol import Backend
+    from midstride.runtime.process.reaper import Reaper
 
 __all__ = ["create_backend", "create_host", "load", "observe", "prepare"]
 
