@@ -204,7 +204,7 @@ def test_a_component_started_by_hand_is_replaced_under_its_name(tmp_path: Path) 
 
 def test_requests_to_a_ros_action_are_handled_by_one_server_each() -> None:
     """No package with a ROS action's type is part of the test environment, so the servers and requests are planted."""
-    from midstride.backends.ros2.component.admitting_node import guard_action
+    from midstride.backends.ros2.component.action_endpoints import guard_action
 
     class Server:
         def __init__(self, *, is_open: bool) -> None:

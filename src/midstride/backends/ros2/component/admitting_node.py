@@ -5,23 +5,16 @@ The instances of a role have one node name, so every request to the node reaches
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
-from action_msgs.msg import GoalStatus
-from action_msgs.srv import CancelGoal
-from rclpy.action import ActionClient, ActionServer
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
-from midstride.backends.admitted_goals import MANY, AdmittedGoals, GoalRequest
 from midstride.node.request_admission import PassableRequest, RequestAdmission
-
-# The identity of a request to cancel goals that names none.
-NO_GOAL: Final = bytes(16).hex()
 
 
 class AdmittingNode(Node):  # type: ignore[misc]
@@ -46,7 +39,9 @@ class AdmittingNode(Node):  # type: ignore[misc]
         return bool(super().destroy_service(service))
 
     def add_waitable(self, waitable: Any) -> None:
-        if isinstance(waitable, ActionServer):
+        if _is_action(waitable, "ActionServer"):
+            from midstride.backends.ros2.component.action_endpoints import guard_action
+
             guard_action(waitable, self._admission, self._later)
         super().add_waitable(waitable)
 
@@ -57,7 +52,7 @@ class AdmittingNode(Node):  # type: ignore[misc]
         the lease of the process has expired.
         """
         for waitable in list(self.waitables):
-            if isinstance(waitable, (ActionClient, ActionServer)):
+            if _is_action(waitable, "ActionClient", "ActionServer"):
                 waitable.destroy()
         super().destroy_node()
 
@@ -65,6 +60,16 @@ class AdmittingNode(Node):  # type: ignore[misc]
         """Have the executor call ``work``; from any thread."""
         if (executor := self.executor) is not None:
             executor.create_task(work)
+
+
+def _is_action(waitable: Any, *classes: str) -> bool:
+    """Return whether ``waitable`` is of one of these classes of ``rclpy.action``.
+
+    On jazzy that brings in NumPy, which takes a third of the time of a component's imports: a process without ROS
+    actions imports neither.
+    """
+    module = sys.modules.get("rclpy.action")
+    return isinstance(waitable, tuple(getattr(module, name, ()) for name in classes))
 
 
 def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]) -> None:
@@ -112,120 +117,3 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
     service.send_response = answer
     service.handle_passed = handle_passed
     admission.passed_handlers[service.service_name] = handle_passed
-
-
-def guard_action(server: Any, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]) -> None:
-    """Have rclpy's action ``server`` handle the requests that ``admission`` admits, and those about its own goals."""
-    execute = server.execute
-    goals = AdmittedGoals(_RosGoals(server, execute), admission, later)
-
-    async def execute_admitted(taken: dict[str, Any]) -> None:
-        for kind, entry in taken.items():
-            if kind != "expired":
-                await goals.handle(_goal_request(kind, entry))
-                continue
-            await execute({kind: entry})  # goals of this server: that is no request
-            for info in entry:
-                admission.goals.expired(_uuid(info.goal_id))
-
-    server.execute = execute_admitted
-
-
-def _goal_request(kind: str, entry: Any) -> GoalRequest:
-    header, request = entry
-    match kind:
-        case "goal":
-            goal = _uuid(request.goal_id)
-            return GoalRequest("goal", f"goal {goal} {header.sequence_number}", goal, entry)
-        case "result":
-            goal = _uuid(request.goal_id)
-            return GoalRequest("result", f"result {goal} {header.sequence_number}", goal, entry)
-    goal, stamp = _uuid(request.goal_info.goal_id), request.goal_info.stamp
-    identity = f"cancel {goal} {stamp.sec}.{stamp.nanosec} {header.sequence_number}"
-    many = goal == NO_GOAL or stamp.sec or stamp.nanosec
-    return GoalRequest("cancel", identity, MANY if many else goal, entry)
-
-
-@dataclass(frozen=True)
-class _RosGoals:
-    """The goals of rclpy's action ``server``; ``execute`` is its own method. Implements GoalServer."""
-
-    server: Any
-    execute: Callable[[dict[str, Any]], Awaitable[None]]
-
-    def _result(self, goal: str) -> Any:
-        return self.server._result_futures.get(bytes.fromhex(goal))
-
-    @property
-    def timed_as(self) -> str:
-        return str(getattr(self.server, "timed_as", ""))
-
-    async def accept(self, entry: Any) -> None:
-        await self.execute({"goal": entry})
-
-    def knows(self, goal: str) -> bool:
-        return self._result(goal) is not None
-
-    def when_ended(self, goal: str, function: Callable[[Any], object]) -> None:
-        def done(future: Any) -> None:
-            if (response := future.result()) is not None:
-                function(response)
-
-        self._result(goal).add_done_callback(done)
-
-    async def give_result(self, entry: Any) -> None:
-        await self.execute({"result": entry})
-
-    def give_kept(self, entry: Any, response: bytes) -> None:
-        types = self.server.action_type.Impl.GetResultService
-        self.server._handle.send_result_response(entry[0], deserialize_message(response, types.Response))
-
-    async def cancel(self, entry: Any, respond: Callable[[Any], object]) -> None:
-        """Do what rclpy does with a request to cancel goals, and call ``respond`` instead of sending the response."""
-        request = CancelGoal.Request() if entry is None else entry[1]
-        await type(self.server)._execute_cancel_request(_Cancelling(self.server, respond), (None, request))
-
-    def give_cancelled(self, entry: Any, response: Any, added: bytes | None) -> bool:
-        if added is not None:
-            _add(response, deserialize_message(added, CancelGoal.Response))
-        self.server._handle.send_cancel_response(entry[0], response)
-        return bool(response.return_code != CancelGoal.Response.ERROR_UNKNOWN_GOAL_ID)
-
-    def is_cancelled(self, response: Any) -> bool:
-        return bool(response.status == GoalStatus.STATUS_CANCELED)
-
-    def serialized(self, response: Any) -> bytes:
-        return bytes(serialize_message(response))
-
-
-def _uuid(goal_id: Any) -> str:
-    return bytes(goal_id.uuid).hex()
-
-
-def _add(response: Any, added: Any) -> None:
-    """Add the goals that another instance has cancelled to a response."""
-    known = {_uuid(info.goal_id) for info in response.goals_canceling}
-    more = [info for info in added.goals_canceling if _uuid(info.goal_id) not in known]
-    if more:
-        response.goals_canceling = [*response.goals_canceling, *more]
-        response.return_code = CancelGoal.Response.ERROR_NONE
-
-
-class _Cancelling:
-    """A ``server`` of rclpy as its handling of a request to cancel goals sees it: ``respond`` gets the response."""
-
-    def __init__(self, server: Any, respond: Callable[[Any], object]) -> None:
-        self._server = server
-        self._handle = _CancelHandle(server._handle, respond)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._server, name)
-
-
-class _CancelHandle:
-    def __init__(self, handle: Any, respond: Callable[[Any], object]) -> None:
-        self.process_cancel_request = handle.process_cancel_request
-        self._respond = respond
-
-    def send_cancel_response(self, header: None, response: Any) -> None:
-        self._respond(response)

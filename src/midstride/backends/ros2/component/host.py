@@ -12,7 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 from weakref import WeakSet
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -27,12 +27,7 @@ from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component import node_parameters, port_endpoints
 from midstride.backends.ros2.component.node_threads import ComponentNodes
 from midstride.backends.ros2.component.parameter_services import parameters_of
-from midstride.backends.ros2.component.service_endpoints import (
-    RosActionClient,
-    RosActionServer,
-    RosClient,
-    RosServer,
-)
+from midstride.backends.ros2.component.service_endpoints import RosClient, RosServer
 from midstride.backends.ros2.component.timers import Ros2GridTimer, SetBackWatch
 from midstride.model.contract import QoS
 from midstride.model.instance_names import dotted_name, full_name, split_name
@@ -44,6 +39,9 @@ from midstride.node.request_admission import RequestAdmission
 from midstride.wire.environment import ENV_SHARED_NAME, ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
+
+if TYPE_CHECKING:  # imported where there is a ROS action
+    from midstride.backends.ros2.component.action_endpoints import RosActionClient, RosActionServer
 
 T = TypeVar("T")
 
@@ -182,6 +180,8 @@ class Ros2Host:
         return server
 
     def create_action_server(self, name: str, type_: type, answers: GoalAnswers) -> RosActionServer:
+        from midstride.backends.ros2.component.action_endpoints import RosActionServer
+
         if (server := taken_up(self._action_servers, name, type_, answers)) is not None:
             return server
         server = self._action_servers[name] = RosActionServer(
@@ -197,6 +197,8 @@ class Ros2Host:
         return server
 
     def create_action_client(self, name: str, type_: type, accepted: Callable[[Any], None]) -> RosActionClient:
+        from midstride.backends.ros2.component.action_endpoints import RosActionClient
+
         return RosActionClient(self.ros_node, self._group, name, type_, accepted)
 
     def _has_left(self, server: RosServer) -> None:

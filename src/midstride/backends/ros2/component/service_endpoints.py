@@ -9,14 +9,11 @@ from collections.abc import Callable
 from copy import copy
 from typing import Any, Final
 
-from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.exceptions import InvalidHandle
 from rclpy.qos import QoSProfile, qos_profile_services_default
 from rclpy.task import Future
 
 from midstride.backends.retiring_server import RetiringServer
-from midstride.backends.sent_goals import hand_on
-from midstride.node.component_host import GoalAnswers
 from midstride.node.request_admission import RequestAdmission
 
 # How many requests, or responses, fit into the queue of an endpoint. Every client of a service receives the responses
@@ -68,50 +65,7 @@ class RosServer(RetiringServer[Callable[[Any, Any], Any]]):
         self._gone(self)
 
 
-class RosActionServer(RetiringServer[GoalAnswers]):
-    """The ROS action ``name`` of ``node``: in the graph until its goals have ended."""
-
-    def __init__(
-        self,
-        node: Any,
-        group: Any,
-        name: str,
-        type_: type,
-        answers: GoalAnswers,
-        *,
-        admission: RequestAdmission,
-        later: Callable[[Callable[[], None]], object],
-        gone: Callable[[RosActionServer], object],
-    ) -> None:
-        super().__init__(name, type_, answers, admission, later)
-        self._gone = gone
-        self.service = ActionServer(
-            node,
-            type_,
-            name,
-            self._execute,
-            callback_group=group,
-            goal_callback=self._accepts,
-            cancel_callback=self._cancels,
-        )
-        self.service.timed_as = name
-
-    async def _accepts(self, goal: Any) -> GoalResponse:
-        accepted = not self.retired and await self.answer.accepts(goal)
-        return GoalResponse.ACCEPT if accepted else GoalResponse.REJECT
-
-    async def _cancels(self, goal: Any) -> CancelResponse:
-        return CancelResponse.ACCEPT if await self.answer.cancels(goal) else CancelResponse.REJECT
-
-    async def _execute(self, goal: Any) -> Any:
-        return await self._in_time(self.answer.execute(goal))
-
-    def _leave(self) -> None:
-        self.service.destroy()
-        self._gone(self)
-
-
-class _Caller:
+class RosCaller:
     """One side of a service or ROS action, of ``node``. ``is_ready`` says whether a server has been discovered."""
 
     def __init__(self, node: Any, is_ready: Callable[[], bool]) -> None:
@@ -134,7 +88,7 @@ class _Caller:
             return 0
 
 
-class RosClient(_Caller):
+class RosClient(RosCaller):
     """A client of the service ``name``."""
 
     def __init__(self, node: Any, group: Any, name: str, type_: type, destroy: Callable[[Any], object]) -> None:
@@ -152,20 +106,3 @@ class RosClient(_Caller):
 
     def destroy(self) -> None:
         self._destroy(self.client)
-
-
-class RosActionClient(_Caller):
-    """A client of the ROS action ``name``. ``accepted`` is called with the handle of each accepted goal."""
-
-    def __init__(self, node: Any, group: Any, name: str, type_: type, accepted: Callable[[Any], None]) -> None:
-        self.client = ActionClient(node, type_, name, callback_group=group)
-        super().__init__(node, self.client.server_is_ready)
-        self._accepted = accepted
-
-    def call(self, request: Any, feedback: Callable[[Any], object] | None = None) -> Any:
-        given = self.unsent()
-        hand_on(self.client.send_goal_async(request, feedback_callback=feedback), given, lambda it: it, self._accepted)
-        return given
-
-    def destroy(self) -> None:
-        self.client.destroy()
