@@ -229,6 +229,12 @@ int rcl_publisher_get_subscription_count(const struct publisher *publisher, size
   return 0;
 }
 
+int rcl_subscription_get_publisher_count(const struct publisher *subscription, size_t *count)
+{
+  *count = subscription->topic[0] ? 3 : 0;
+  return 0;
+}
+
 /* A server is the name of its service. There always is a request, from one client, which the middleware has received
  * FAKE_RECEIVED_MS ago. */
 struct request_id {

@@ -17,7 +17,7 @@ from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
 from midstride.foreign.node import ForeignNode, of_topics
 from midstride.foreign.page import SEND_GOAL, Page
-from midstride.foreign.page_layout import LATEST, SERVER, PagePort
+from midstride.foreign.page_layout import INPUT, LATEST, SERVER, PagePort
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
 from midstride.lang.load import load_text
@@ -240,6 +240,20 @@ def test_the_page_says_since_when_no_executor_waits(lab: Lab) -> None:
         served.does("events")
         served.does("wait 1")
         assert served.port.busy == 0
+
+
+@pytest.mark.parametrize("taken", [False, True])
+def test_a_server_stays_one_while_its_part_of_the_page_is_free(lab: Lab, taken: bool) -> None:
+    """As that of a node is which its container has unloaded, while an executor still has its servers."""
+    with server(lab) as served:
+        index = served.port.node - 1
+        lab.page.free(index)
+        if taken:
+            lab.page.set_ports(lab.page.allocate("another"), [("/count", INPUT)])
+        wanted, ended = lab.page.beat(index) + 3, served.process.poll
+        until(lambda: ended() is not None or lab.page.beat(index) >= wanted, "its helper thread does not look")
+        assert ended() is None
+        served.does("take")
 
 
 def test_capture_reads_how_long_each_took(

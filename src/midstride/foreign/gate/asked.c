@@ -28,7 +28,7 @@ static struct entry *server_of(unsigned own, const char *name)
     for (unsigned index = 0; index < ENTRIES; index++) {
       struct entry *entry = &table->entries[index];
       const void *endpoint = atomic_load(&entry->endpoint);
-      if (endpoint && endpoint != REMOVED && entry->me == own && entry->port->kind == SERVER &&
+      if (endpoint && endpoint != REMOVED && entry->me == own && entry->kind == SERVER &&
           strncmp(entry->port->topic, name, NAME) == 0)
         return entry;
     }

@@ -162,6 +162,7 @@ bool add_entry(const void *endpoint, const void *owner, const char *topic, uint3
     atomic_store(&own->pid, (uint32_t)getpid());
   }
   entry->port = port;
+  entry->kind = kind;
   entry->me = me;
   entry->used = used;
   entry->type = type;

@@ -104,7 +104,8 @@ enum service { OTHER, SEND_GOAL, CANCEL_GOAL, GET_RESULT };
 struct entry {
   _Atomic(const void *) endpoint; /* NULL: free; REMOVED: removed */
   struct port *port;
-  unsigned me; /* index + 1 of the node that has it */
+  uint32_t kind; /* as that of its port, which the manager may give to another node before this one is destroyed */
+  unsigned me;   /* index + 1 of the node that has it */
   unsigned used; /* index of the port among `used_ports` */
   const void *type;
   bool overdue; /* see `enter` */

@@ -92,7 +92,7 @@ void end_input(void)
 
 void begin_input(struct entry *source, const struct message_info *info)
 {
-  if (source->port->kind != INPUT)
+  if (source->kind != INPUT)
     return;
   bool timed = !info->number || info->number == UNNUMBERED;
   current.source = source;

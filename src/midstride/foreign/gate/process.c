@@ -58,13 +58,13 @@ static void wait_for_bell(_Atomic uint32_t *bell, uint32_t seen)
 static void look_at(struct entry *entry)
 {
   const void *endpoint = atomic_load(&entry->endpoint);
-  if (!endpoint || endpoint == REMOVED)
+  if (!endpoint || endpoint == REMOVED || atomic_load(&entry->port->node) != entry->me)
     return;
-  if (entry->port->kind == SERVER) {
+  if (entry->kind == SERVER) {
     look_at_server(entry);
     return;
   }
-  bool output = entry->port->kind == OUTPUT;
+  bool output = entry->kind == OUTPUT;
   int (*counting)(const void *, size_t *) =
       output ? real_rcl_publisher_get_subscription_count() : real_rcl_subscription_get_publisher_count();
   size_t number = 0;
