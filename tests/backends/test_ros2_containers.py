@@ -6,6 +6,7 @@ import asyncio
 import os
 from collections.abc import Coroutine
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -17,12 +18,13 @@ from midstride.backends.ros2.manager.component_containers import LoadRequest
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.own_names import StartName
 from midstride.backends.ros2.manager.shared_processes import SharedProcess, SharedProcesses
+from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, StartFailed
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.preloading import StartedPrograms
 from midstride.foreign.record import ForeignRecord
 from midstride.lang.load import load_text
-from midstride.model.component import DEFAULT_STOP, KILL_AT_ONCE
+from midstride.model.component import DEFAULT_STOP, KILL_AT_ONCE, StopTimes
 from midstride.model.load_words import LoadWords
 from midstride.runtime.backend_protocol import Exited, Handle, Launch
 from midstride.runtime.timeouts import within
@@ -419,7 +421,7 @@ def test_a_node_leaves_also_where_the_page_is_of_an_earlier_manager(made: Made, 
 
     async def body() -> None:
         await made.load_first()
-        nodes, page = made.backend._foreign_nodes, Mock()
+        nodes, page = made.backend._foreign_nodes, Mock(is_called=Mock(return_value=False))
         record = ForeignRecord.read(made.folder / "control" / GATES_FOLDER, "a")
         assert record is not None
 
@@ -436,6 +438,29 @@ def test_a_node_leaves_also_where_the_page_is_of_an_earlier_manager(made: Made, 
         assert [call.args for call in page.leaves.call_args_list] == [(3, True), (3, False)]
         assert changed == [{"loaded": False}, {"loaded": True}]
         del nodes._agents["a"]
+        nodes._page = None
+
+    run(made, body())
+
+
+@pytest.mark.parametrize("ends", [True, False])
+def test_a_call_that_has_begun_ends_before_its_node_is_unloaded(
+    made: Made, caplog: pytest.LogCaptureFixture, ends: bool
+) -> None:
+    """Or has had the time of its `drain`."""
+
+    async def body() -> None:
+        await made.load_first()
+        nodes, looks = made.backend._foreign_nodes, iter([True, True, False] if ends else repeat(True))
+        record = ForeignRecord.read(made.folder / "control" / GATES_FOLDER, "a")
+        assert record is not None
+        stop = NamedComponentForm.of(replace(COMPONENT, stop=StopTimes(drain=0.2)))
+        nodes._page = Mock(is_called=lambda index: next(looks))
+        await nodes.leaves(structs.replace(record, index=3, declaration=stop))
+        assert next(looks, None) is (None if ends else True)
+        said = [each.getMessage() for each in caplog.records]
+        words = "a callback of /a seems to run still, 0.2 s (`drain`) after it was to be the last"
+        assert said == ([] if ends else [f"{words}; the node is unloaded all the same, which may end its container"])
         nodes._page = None
 
     run(made, body())

@@ -16,7 +16,7 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(scope="session")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the node, the server, and the library that they are linked with."""
+    """The folder of the nodes, the server, and the library that they are linked with."""
     folder = tmp_path_factory.mktemp("fake")
     command = build.compiler()
     assert command is not None
@@ -35,5 +35,5 @@ def fake_programs(folder: Path, compiler: Sequence[str]) -> None:
     options = [*compiler, "-std=c11", "-O2", "-pthread"]
     subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", HERE / "fake_rcl.c"], check=True)
     link = ["-L", str(folder), "-lrcl", f"-Wl,-rpath,{folder}"]
-    for program in ("node", "server"):
+    for program in ("node", "server", "leaving"):
         subprocess.run([*options, "-o", folder / program, HERE / f"fake_{program}.c", *link], check=True)

@@ -2,6 +2,7 @@
 #define _GNU_SOURCE
 #include <fcntl.h>
 #include <stdatomic.h>
+#include <stdbool.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -301,6 +302,32 @@ int rcl_send_response(const void *service, struct request_id *id, void *response
   return 0;
 }
 
+int rcl_client_init(void **client, const void *node, const void *type, const char *name, const void *options)
+{
+  (void)node, (void)type, (void)name, (void)options;
+  *client = client;
+  return 0;
+}
+
+int rcl_client_fini(void **client, void *node)
+{
+  (void)node;
+  *client = NULL;
+  return 0;
+}
+
+/* There always is a response. */
+int rcl_take_response(const void *client, struct request_id *id, void *response)
+{
+  (void)client, (void)id, (void)response;
+  return 0;
+}
+
+int rcl_take_response_with_info(const void *client, struct request_info *info, void *response)
+{
+  return rcl_take_response(client, &info->id, response);
+}
+
 /* Nothing comes. */
 int rcl_wait(const void *set, int64_t timeout)
 {
@@ -360,7 +387,18 @@ void setup(struct publisher_base *base, uint64_t number, struct manager **manage
   base->takes_part = 1;
 }
 
-/* Of tracetools, which rclcpp calls with each message before subscriptions of the process get it. */
+/* Of tracetools: rclcpp calls them before and after each callback, and with each message before subscriptions of the process
+ * get it. */
+void ros_trace_callback_start(const void *callback, bool within)
+{
+  (void)callback, (void)within;
+}
+
+void ros_trace_callback_end(const void *callback)
+{
+  (void)callback;
+}
+
 void ros_trace_rclcpp_intra_publish(const void *publisher, const void *message)
 {
   (void)publisher, (void)message;

@@ -192,10 +192,14 @@ class Page:
         return bool(self.layout.nodes[process].loads)
 
     def leaves(self, index: int, now: bool) -> None:
-        """Have no timer, and no message on its ports, call the node ``index`` any more; not ``now``: they do again."""
+        """Have nothing call the node ``index`` of a container any more; not ``now``: it is called again."""
         node = self.layout.nodes[index]
         node.used = node.used | LEAVES if now else node.used & ~LEAVES
         self.ring(index)
+
+    def is_called(self, index: int) -> bool:
+        """Return whether a thread may be in a call of the node ``index`` of a container, as far as its library sees."""
+        return bool(self.layout.nodes[index].calls)
 
     def every_port(self) -> Iterator[PagePort]:
         """The ports of all nodes, and the free ones."""

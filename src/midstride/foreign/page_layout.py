@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 16
+VERSION: Final = 17
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -40,8 +40,8 @@ LATEST: Final = 8
 UNUSED, OUTPUT, INPUT, SERVER, CLIENT, NODE = range(6)
 CLOSED, OPEN = range(2)
 # Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate. NAMES_ONE: a
-# `__node:=` for all nodes of the process names the first of them alone. LEAVES: it is about to be unloaded, and neither
-# its timers nor messages on its ports call it.
+# `__node:=` for all nodes of the process names the first of them alone. LEAVES: it is about to be unloaded, and nothing
+# calls it any more.
 IN_USE, LISTS, NAMES_ONE, LEAVES = 1, 2, 4, 8
 
 
@@ -145,6 +145,7 @@ class PageNode(ctypes.Structure):
         ("apart", c_uint32),
         ("loading", c_uint32),
         ("loads", c_uint32),
+        ("calls", c_uint32),
         ("instance", c_char * NAME),
         ("name", c_char * NAME),
     ]

@@ -224,12 +224,17 @@ void note_answer(const struct entry *output, const struct input *input);
 /* Note a message that the node has taken, if the manager wants to know. */
 void note_receipt(struct entry *entry, const struct message_info *info);
 
-/* -- what calls a node (timers.c) -------------------------------------------------------------------------------------- */
+/* -- what calls a node (calls.c) --------------------------------------------------------------------------------------- */
 
-/* This thread is about to call a node of the page (index + 1; 0: another one). */
+/* This thread is about to call a node of the page (index + 1; 0: another one, or none). Before `has_to_leave` is asked. */
 void begin_call(unsigned me);
-/* Whether no timer, and no message on its ports, is to call a node any more, since it is about to be unloaded. */
+/* Whether nothing is to call a node any more, since it is about to be unloaded. */
 bool has_to_leave(unsigned me);
+/* Of which node a client, or a subscription that has no port, is (rcl_node_t). */
+void note_caller(const void *what, const void *owner);
+/* The same, as index + 1; 0: not known, or that as which the process was started. */
+unsigned called_by(const void *what);
+void forget_caller(const void *what);
 /* The timers of a node that is not unloaded after all call it again. With `lock`. */
 void resume_timers(void);
 

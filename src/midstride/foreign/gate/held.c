@@ -167,8 +167,8 @@ bool take_held(struct entry *entry, struct requests *requests, struct request_in
 
 bool is_due(struct entry *entry)
 {
-  struct requests *requests =
-      entry && entry->kind == SERVER && atomic_load(&entry->holding) ? requests_of(entry->me) : NULL;
+  bool holds = entry && entry->kind == SERVER && atomic_load(&entry->holding) && !has_to_leave(entry->me);
+  struct requests *requests = holds ? requests_of(entry->me) : NULL;
   for (struct held *held = requests ? entry->held : NULL; held; held = held->next)
     if (held->claimed || turn_with_held(requests, entry, held) != WAIT)
       return true;

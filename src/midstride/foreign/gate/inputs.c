@@ -241,17 +241,3 @@ struct input answered_by(struct entry *output)
   atomic_fetch_add_explicit(&port->in_step, 1, memory_order_relaxed);
   return current.input;
 }
-
-/* -- what a thread does else ------------------------------------------------------------------------------------------- */
-
-EXPORT int rcl_take_response(const void *client, struct request_id *id, void *response)
-{
-  end_input();
-  return real_rcl_take_response()(client, id, response);
-}
-
-EXPORT int rcl_take_response_with_info(const void *client, struct request_info *info, void *response)
-{
-  end_input();
-  return real_rcl_take_response_with_info()(client, info, response);
-}

@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 16 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 17 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -128,6 +128,7 @@ struct node {
                            * client has fetched */
   _Atomic uint32_t loading; /* index + 1 of the one that a container, which this is, is being asked to load; 0: of none */
   _Atomic uint32_t loads; /* how many requests to load a node it has taken and not answered yet */
+  _Atomic uint32_t calls; /* of a node of a container: how many threads are in a call of it, as far as the library sees that */
   char instance[NAME];
   char name[NAME]; /* the full name of its ROS node; empty: all those of the process that are no other's */
 };

@@ -16,6 +16,8 @@ struct goal_info; /* in page.h */
 #define BAD_ALLOC 10
 /* RCL_RET_SUBSCRIPTION_TAKE_FAILED: there was no message. */
 #define TAKE_FAILED 401
+/* RCL_RET_CLIENT_TAKE_FAILED: there was no response. */
+#define NO_RESPONSE 501
 /* RCL_RET_SERVICE_TAKE_FAILED: there was no request. */
 #define NO_REQUEST 601
 /* RCL_RET_TIMER_CANCELED: it is not called. */
@@ -159,6 +161,8 @@ REAL(int, rcl_send_response, const void *, struct request_id *, void *)
 REAL(int, rcl_action_update_goal_state, void *, int)
 REAL(int, rcl_action_goal_handle_get_info, const void *, struct goal_info *)
 REAL(int, rcl_action_expire_goals, const void *, struct goal_info *, size_t, size_t *)
+REAL(int, rcl_client_init, void *, const void *, const void *, const char *, const void *)
+REAL(int, rcl_client_fini, void *, void *)
 REAL(int, rcl_take_response, const void *, struct request_id *, void *)
 REAL(int, rcl_take_response_with_info, const void *, struct request_info *, void *)
 REAL(int, rcl_timer_init, void *, void *, void *, int64_t, void *, allocator)
@@ -173,6 +177,8 @@ REAL(int, rcl_trigger_guard_condition, const void *)
 REAL(int, rmw_serialize, const void *, const void *, void *)
 REAL(int, rmw_deserialize, const void *, const void *, void *)
 REAL(void, rcutils_reset_error, void)
+REAL(void, ros_trace_callback_start, const void *, bool)
+REAL(void, ros_trace_callback_end, const void *)
 REAL(void, ros_trace_rclcpp_intra_publish, const void *, const void *)
 /* Of rclcpp: member functions of PublisherBase, and IntraProcessManager::remove_publisher. */
 #define SETUP_INTRA_PROCESS                                                                                              \

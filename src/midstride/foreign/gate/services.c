@@ -77,29 +77,35 @@ static int64_t arrival(int64_t by_the_middleware)
   return waited > 0 && waited < LONGEST_WAIT ? now - waited : now;
 }
 
-/* Take a request with `real_take`, or one that was held. */
-static int take_request(const void *service, struct request_info *info, void *request, bool with_info)
+/* Take a request from the middleware. */
+static int take_new(const void *service, struct request_info *info, void *request, bool with_info)
 {
-  struct entry *entry = taking ? NULL : find_server(service);
-  struct requests *requests = entry ? requests_of(entry->me) : NULL;
-  end_input();
-  begin_call(entry ? entry->me : 0);
-  if (requests && take_held(entry, requests, info, request))
-    return 0;
-  bool nested = taking;
-  taking = true;
-  received = 0;
   int result = with_info ? real_rcl_take_request_with_info()(service, info, request)
                          : real_rcl_take_request()(service, &info->id, request);
-  taking = nested;
   if (with_info && result == 0)
     received = info->received;
-  if (result == 0 && entry)
-    begin_loading(entry->port->topic);
-  if (result != 0 || !requests)
+  return result;
+}
+
+/* Take a request for the node of `entry`, or one that was held; it holds those that come while it leaves. */
+static int take_for(struct entry *entry, const void *service, struct request_info *info, void *request, bool with_info)
+{
+  struct requests *requests = requests_of(entry->me);
+  bool leaves = has_to_leave(entry->me);
+  if (!leaves && requests && take_held(entry, requests, info, request))
+    return 0;
+  int result = take_new(service, info, request, with_info);
+  if (result != 0)
     return result;
+  begin_loading(entry->port->topic);
+  if (!requests)
+    return leaves ? NO_REQUEST : 0;
   note_seen(requests, entry->me, &info->id);
   struct subject subject = subject_of(entry, request);
+  if (leaves) {
+    hold_request(entry, info, request, &subject, false);
+    return NO_REQUEST;
+  }
   struct taken *taken = NULL;
   switch (turn_with(requests, entry, &subject, &info->id, now_ns(), false, answers(requests, entry))) {
   case ANSWER:
@@ -123,6 +129,22 @@ static int take_request(const void *service, struct request_info *info, void *re
     announce(entry);
   pthread_mutex_unlock(&lock);
   return NO_REQUEST;
+}
+
+static int take_request(const void *service, struct request_info *info, void *request, bool with_info)
+{
+  if (taking)
+    return take_new(service, info, request, with_info);
+  struct entry *entry = find_server(service);
+  end_input();
+  begin_call(entry ? entry->me : 0);
+  taking = true;
+  received = 0;
+  int result = entry ? take_for(entry, service, info, request, with_info) : take_new(service, info, request, with_info);
+  taking = false;
+  if (result != 0)
+    begin_call(0);
+  return result;
 }
 
 EXPORT int rcl_take_request_with_info(const void *service, struct request_info *info, void *request)

@@ -1,4 +1,4 @@
-/* Subscriptions: a message that is taken while the gate of its port is closed is dropped. */
+/* Subscriptions: a message that is taken while the gate of its port is closed, or its node leaves, is dropped. */
 #include "gate.h"
 
 EXPORT int rcl_subscription_init(void *subscription, const void *owner, const void *type, const char *name,
@@ -10,12 +10,15 @@ EXPORT int rcl_subscription_init(void *subscription, const void *owner, const vo
     real_rcl_subscription_fini()(subscription, (void *)owner);
     return BAD_ALLOC;
   }
+  if (page && result == 0 && !find_entry(subscription))
+    note_caller(subscription, owner);
   return result;
 }
 
 EXPORT int rcl_subscription_fini(void *subscription, void *owner)
 {
   remove_entry(subscription);
+  forget_caller(subscription);
   return real_rcl_subscription_fini()(subscription, owner);
 }
 
@@ -24,13 +27,17 @@ EXPORT int rcl_subscription_fini(void *subscription, void *owner)
 static int take_result(const void *subscription, int result, const struct message_info *info)
 {
   struct entry *entry = result == 0 ? find_entry(subscription) : NULL;
-  if (!entry)
-    return result;
-  bool open = atomic_load_explicit(&entry->port->gate, memory_order_acquire) == OPEN;
-  if (open && atomic_load_explicit(&entry->port->flags, memory_order_acquire) & SHUT)
+  unsigned me = entry ? entry->me : result == 0 ? called_by(subscription) : 0;
+  begin_call(me);
+  bool open = !has_to_leave(me);
+  if (entry)
+    open = open && atomic_load_explicit(&entry->port->gate, memory_order_acquire) == OPEN;
+  if (open && entry && atomic_load_explicit(&entry->port->flags, memory_order_acquire) & SHUT)
     open = now_ns() >= atomic_load(&page->head.lease);
-  begin_call(entry->me);
-  open = open && !has_to_leave(entry->me);
+  if (!open)
+    begin_call(0);
+  if (!entry)
+    return open ? result : TAKE_FAILED;
   if (info) /* before it is counted: fewer that are noted show that some are not */
     note_receipt(entry, info);
   count_call(entry->port, open);

@@ -63,8 +63,10 @@ Addressed: TypeAlias = Callable[[str, Page, int, bool], NodeServices]
 # Has the node of a record loaded within a time (s).
 Load: TypeAlias = Callable[[ForeignRecord, LoadRequest, float], Awaitable[None]]
 
-# How long the calls of a node may last that have begun when it is to be unloaded (s).
+# How long the calls of a node get at least that have begun when it is to be unloaded (s), and how often it is asked
+# whether one still runs.
 _LAST_CALLS: Final = 0.1
+_LOOK: Final = 0.02
 
 log = logging.getLogger(__name__)
 
@@ -464,11 +466,11 @@ class ForeignNodes:
         return lambda: time.monotonic() < over
 
     async def leaves(self, record: ForeignRecord | None, now: bool = True) -> None:
-        """Have no timer, and no message on its ports, call a node that is to be unloaded; not ``now``: it stays.
+        """Have nothing call a node any more that is to be unloaded; not ``now``: it stays, and is called again.
 
-        Calls that have begun get ``_LAST_CALLS`` s: an executor with several threads would destroy the node during a
-        call, with which the process ends. That it is to go is in its record before: otherwise, if this manager died,
-        the next one would keep a node that nothing calls.
+        Calls that have begun get ``_LAST_CALLS`` s, and as long as its `drain` where the library sees one of them: an
+        executor with several threads would destroy the node during a call, with which the process ends. That it is to
+        go is in its record before: otherwise, if this manager died, the next one would keep a node that nothing calls.
         """
         if record is None:
             return
@@ -479,9 +481,21 @@ class ForeignNodes:
                 page = self._page or (await self._opened(os.environ))[0]
                 page.leaves(record.index, now)
                 if now:
-                    await asyncio.sleep(_LAST_CALLS)
+                    await self._last_calls(page, record, record.index)
         if not now:
             self._note_loaded(record, True)
+
+    async def _last_calls(self, page: Page, record: ForeignRecord, index: int) -> None:
+        await asyncio.sleep(_LAST_CALLS)
+        drain = record.declaration.declared().stop_times.drain
+        over = time.monotonic() + drain
+        while page.is_called(index):
+            if time.monotonic() >= over:
+                since = f"{drain:g} s (`drain`) after it was to be the last"
+                what = f"a callback of {record.node} seems to run still, {since}"
+                log.warning("%s; the node is unloaded all the same, which may end its container", what)
+                return
+            await asyncio.sleep(_LOOK)
 
     def _note_loaded(self, record: ForeignRecord, loaded: bool) -> None:
         """Write whether the container of ``record`` has the node, and is to keep it."""

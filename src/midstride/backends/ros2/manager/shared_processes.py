@@ -49,7 +49,7 @@ class SharedProcess:
         """Say that ``instance`` was asked to end, and may or may not; ``why``: what its container has not answered."""
         return (
             f"{instance} may still end in {self.name}, which has not answered; until then it is not known: {why}. With "
-            "a gate, its timers and the messages on its ports do not call it any more. It certainly ends with its "
+            "a gate, its timers, messages, requests and responses do not call it any more. It certainly ends with its "
             f"container, by `midstride restart {self.name}`, or when that is killed (process {self.process.pid})"
         )
 
