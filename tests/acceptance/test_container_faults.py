@@ -152,6 +152,9 @@ def test_one_whose_constructor_hangs_is_never_there_twice(stand_in: StandIn, tmp
             assert refused.outcome == "rolled_back", refused
             assert "The constructor of front/talker may still run in front/pipeline" in str(refused.because)
             assert await pids(made) == before
+            condition = (await made.manager.status()).condition
+            [fault] = condition.faults
+            assert fault.startswith("front/pipeline has not answered the request to load front/talker. ")
             again = await made.meanwhile(made.manager.change(PlanRequest(add=(node,))))
             assert "front/talker would be there twice" in str(again.because), again
             await another(made)

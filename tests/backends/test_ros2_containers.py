@@ -218,6 +218,10 @@ def test_a_node_whose_constructor_hangs_is_known_until_it_is_there_and_then_unlo
         assert exited.loading and "The constructor of b may still run in box" in str(exited.because)
         await made.backend.end("b", DEFAULT_STOP)
         assert (made.shared.members, [*made.shared.unanswered]) == ({"a"}, ["b"]), "its end ends nothing else"
+        [said] = made.backend.hanging()
+        assert said.startswith(
+            "box has not answered the request to load b. The constructor of b may still run in box, "
+        )
         assert ForeignRecord.read(made.folder / "control" / GATES_FOLDER, "b") is not None
         for instance, why in (("b", "b would be there twice"), ("c", "c cannot be loaded into box")):
             with pytest.raises(StartFailed, match=f"{why}. The constructor of b may still run"):
@@ -227,6 +231,7 @@ def test_a_node_whose_constructor_hangs_is_known_until_it_is_there_and_then_unlo
         assert made.shared.members == {"a"} and len(made.exits) == 1
         made.world.finish("/b")
         await made.until(lambda: not made.shared.unanswered)
+        assert made.backend.hanging() == []
         assert made.world.nodes == ["/a"], "it does not run, now that it is there"
         await made.start("b")
         await made.until(lambda: made.world.nodes == ["/a", "/b"])
@@ -270,6 +275,7 @@ def test_another_manager_unloads_what_the_one_before_has_asked_for(made: Made) -
         assert (made.shared.members, [*made.shared.unanswered]) == ({"a"}, ["b"])
         made.world.finish("/b")
         await made.until(lambda: not made.shared.unanswered)
+        assert made.backend.hanging() == []
         assert made.world.nodes == ["/a"]
 
     run(made, body())
@@ -381,6 +387,10 @@ def test_an_unload_that_is_not_answered_may_still_be_carried_out(made: Made, aga
         ):
             await made.backend.end("b", DEFAULT_STOP)
         assert (made.world.left, made.shared.members) == (["/b"], {"a", "b"})
+        [said] = made.backend.hanging()
+        assert said.startswith(
+            "b may still end in box, which has not answered; until then it is not known: it was asked"
+        )
         made.world.mute = False
         made.world.unloading.set()
         if again:
@@ -392,7 +402,7 @@ def test_an_unload_that_is_not_answered_may_still_be_carried_out(made: Made, aga
             assert [each.words for each in made.exits] == [
                 "b has ended: box has unloaded it after all, as it was asked to"
             ]
-        assert (made.shared.members, made.shared.unloads) == ({"a"}, {})
+        assert (made.shared.members, made.shared.unloads, made.backend.hanging()) == ({"a"}, {}, [])
         assert ForeignRecord.read(made.folder / "control" / GATES_FOLDER, "b") is None
         assert made.shared.process.running
 
@@ -408,6 +418,7 @@ def test_a_late_node_that_is_not_unloaded_is_said_once(made: Made, caplog: pytes
         made.world.refused = 3
         made.world.finish("/b")
         await made.until(lambda: not made.shared.unanswered)
+        assert made.backend.hanging() == []
         assert (made.world.nodes, made.world.asked) == (["/a"], ["/b"] * 4)
         said = [each.getMessage() for each in caplog.records if "is to go" in each.getMessage()]
         assert said == ["/b is in it, and is to go: it refuses; box is asked again until it has unloaded it"]

@@ -388,6 +388,9 @@ class ScriptedBackend:
     def unwritten(self) -> str | None:
         return None
 
+    def hanging(self) -> list[str]:
+        return []
+
     def middleware(self) -> Middleware:
         return Middleware(name="scripted")
 

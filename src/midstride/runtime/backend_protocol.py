@@ -292,6 +292,13 @@ class Backend(Protocol):
         """Why what the next manager needs to know of the components could not be written to disk."""
         return None
 
+    def hanging(self) -> list[str]:
+        """The requests to load or unload one of several components that its process has not answered, in words.
+
+        Each with what follows from it.
+        """
+        return []
+
     def executable(self, package: str, name: str, *, composable: bool = False) -> str | None:
         """The file of an executable of a package, where the platform has packages, and this one is installed.
 

@@ -35,6 +35,7 @@ def condition(
     faults += [assessment.silence_in_words(fault.words, fault.seconds or None) for fault in silences]
     faults += [words for role in sorted(best) for words in best[role][1]]
     faults += [words for role in sorted(best) if (words := watched.respawner.crash_loop(role)) is not None]
+    faults += watched.backend.hanging()
     components = {role: specification.component_of(role) for role in specification.roles()}
     return conditions.system_condition(
         len(components),

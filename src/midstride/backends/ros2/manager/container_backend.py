@@ -302,6 +302,9 @@ class ContainerBackend(ProcessBackend):
                     await self._take_back(shared, record)
         return await super().end_orphans(token, KnownNames((known, {*self._shared})), stop)
 
+    def hanging(self) -> list[str]:
+        return [words for shared in self._shared.processes() for words in shared.hanging()]
+
     # -- end -----------------------------------------------------------------------------------------------
 
     async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:

@@ -53,6 +53,13 @@ class SharedProcess:
             f"container, by `midstride restart {self.name}`, or when that is killed (process {self.process.pid})"
         )
 
+    def hanging(self) -> Iterator[str]:
+        """Yield which requests it has not answered in time, and what follows from each."""
+        for instance in sorted(self.unanswered):
+            yield f"{self.name} has not answered the request to load {instance}. {self.why_busy(instance)}"
+        for instance in sorted(self.unloads):
+            yield self.why_unknown(instance, "it was asked to unload it")
+
     def wait_no_more(self, instance: str) -> None:
         """Nothing waits any more until ``instance`` is gone, where it was asked to unload that."""
         if (waits := self.unloads.pop(instance, None)) is not None:
