@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import time
@@ -17,6 +18,11 @@ TOPIC = "/swap"
 RATE = 50.0
 
 
+def identity(name: str) -> str:
+    """The first word of what a talker says, by which the recorder knows it."""
+    return f"{name}-{os.getpid()} tick"
+
+
 def source(name: str = "source") -> None:
     """A component that writes at 50 Hz."""
     from midstride import Component
@@ -24,7 +30,8 @@ def source(name: str = "source") -> None:
     comp = Component(name)
     out = comp.create_output("out", String)
     talk = comp.create_functionality("talk", outputs=[out])
-    talk.set_normal_mode(lambda: out.write(String(data="tick")), rate=RATE, outputs=[out])
+    said = identity(name)
+    talk.set_normal_mode(lambda: out.write(String(data=said)), rate=RATE, outputs=[out])
     talk.set_degraded_mode(lambda: None)
     comp.start()
 
@@ -48,7 +55,8 @@ def bare(name: str) -> None:
     rclpy.init()
     node = rclpy.create_node(name)
     publisher = node.create_publisher(String, TOPIC, 10)
-    node.create_timer(1 / RATE, lambda: publisher.publish(String(data="tick")))
+    said = identity(name)
+    node.create_timer(1 / RATE, lambda: publisher.publish(String(data=said)))
     rclpy.spin(node)
 
 
@@ -65,16 +73,18 @@ def lifecycle(name: str) -> None:
 
         def tick(self) -> None:
             if self.out.is_activated:
-                self.out.publish(String(data="tick"))
+                self.out.publish(String(data=said))
 
+    said = identity(name)
     rclpy.init()
     rclpy.spin(Source(name))
 
 
-def recorder(path: str, queue: str = "10") -> None:
+def recorder(path: str, queue: str = "10", known_by: str = "gid") -> None:
     """A subscriber that knows nothing of anybody; writes its rows to ``path`` on SIGTERM, none at its first.
 
-    ``queue``: how many messages wait for it.
+    ``queue``: how many messages wait for it. ``known_by``: a publisher is known by the `gid` that ROS gives, if it
+    gives one, or by the first `word` of what it says.
     """
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -88,9 +98,11 @@ def recorder(path: str, queue: str = "10") -> None:
         if not rows:
             Path(path).write_text("[]")  # so that one can wait for it to hear
         gid = info.get("publisher_gid")
-        identity = None if gid is None else str(gid["data"] if isinstance(gid, dict) else gid)
+        publisher = None if gid is None else str(gid["data"] if isinstance(gid, dict) else gid)
+        if known_by == "word":
+            publisher = message.data.split()[0]
         number = info.get("publication_sequence_number")
-        rows.append((time.monotonic_ns(), info.get("source_timestamp"), number, identity))
+        rows.append((time.monotonic_ns(), info.get("source_timestamp"), number, publisher))
 
     def end(signum: int, frame: FrameType | None) -> None:
         going[0] = False

@@ -61,7 +61,7 @@ def bare(name: str) -> None:
         rate.sleep()
 
 
-def recorder(path: str) -> None:
+def recorder(path: str, *_: str) -> None:
     """A subscriber that knows nothing of anybody; writes its rows to ``path`` on SIGTERM."""
     import rospy
 

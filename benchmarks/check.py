@@ -14,6 +14,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from _guard import guard
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT))
 
@@ -51,6 +53,7 @@ def main() -> None:
     parser.add_argument("--nodes", type=int, nargs="+", default=[100, 1_000, 10_000])
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
+    guard()
     sizes = by_size(arguments.nodes, arguments.runs)
     arguments.out.parent.mkdir(exist_ok=True)
     arguments.out.write_text(json.dumps({"runs": arguments.runs, "sizes": sizes}, indent=1) + "\n")

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from _conflict_core_systems import SEEDS, instance
+from _guard import guard
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -173,6 +174,7 @@ def main() -> int:
     parser.add_argument("--resume", action="store_true", help="leave out what the file of results has already")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "conflict_cores.json")
     options = parser.parse_args()
+    guard()
 
     options.out.parent.mkdir(parents=True, exist_ok=True)
     rows: dict[int, dict[str, Any]] = {}

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from _guard import guard
 
 HERE = Path(__file__).resolve().parent
 MARK = "MIDSTRIDE_BENCHMARK_RUN"
@@ -142,6 +143,7 @@ def main() -> None:
     parser.add_argument("--paused", type=int, default=100, help="components that are stopped for 10 s")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "control_plane.json")
     options = parser.parse_args()
+    guard()
     versions = {"new": HERE.parent}
     if options.against is not None:
         versions = {"old": options.against.resolve(), **versions}

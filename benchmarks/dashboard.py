@@ -25,6 +25,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+from _guard import guard
+
 HERE = Path(__file__).resolve().parent
 PORTS = 3
 # How often nodes report that do not change, and how often a step is said to be taken (Hz).
@@ -336,6 +338,7 @@ def main() -> None:
     parser.add_argument("--clients-each", type=int, nargs="+", default=[0, 1, 5])
     parser.add_argument("--out", type=Path, default=HERE / "results" / "dashboard.json")
     options = parser.parse_args()
+    guard()
     found = [measured(options, number) for number in [None, *options.clients_each]]
     base = found[0]["processor"]
     print(

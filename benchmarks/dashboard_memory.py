@@ -21,6 +21,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from _guard import guard
 from playwright.sync_api import Page, sync_playwright
 
 HERE = Path(__file__).resolve().parent
@@ -130,6 +131,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=10.0, help="how often these change (Hz)")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "dashboard_memory.json")
     options = parser.parse_args()
+    guard()
     rows, followed = measured(options)
     print(f"{options.nodes} nodes, {options.changing} change at {options.rate:g} Hz, {rows[-1]['at']:.0f} s")
     print(f"{'':>10}{'first':>10}{'median':>10}{'largest':>10}{'last':>10}{'per hour, second half':>24}")

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from _guard import guard
 from playwright.sync_api import Browser, Page, sync_playwright
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -156,6 +157,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5, help="how often the large graph is opened")
     parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
+    guard()
     chromium = shutil.which("chromium")
     if chromium is None:
         print("skipped: Chromium is not installed (tools/browser)")

@@ -23,6 +23,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from pathlib import Path
 from typing import Any
 
+from _guard import guard
 from playwright.sync_api import Browser, sync_playwright
 
 HERE = Path(__file__).resolve().parent
@@ -180,6 +181,7 @@ def main() -> None:
     parser.add_argument("--swaps", type=int, default=10, help="in each block")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "dashboard_swap.json")
     options = parser.parse_args()
+    guard()
     chromium = shutil.which("chromium")
     if chromium is None:
         print("skipped: Chromium is not installed (tools/browser)")

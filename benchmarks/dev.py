@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from _guard import guard
 from _recorder import recording
 
 SPECIFICATION = """system dev_bench
@@ -255,6 +256,7 @@ def main() -> int:
     parser.add_argument("--rates", type=float, nargs="+", default=[10.0, 50.0], metavar="HZ")
     parser.add_argument("--json", type=Path, metavar="FILE")
     arguments = parser.parse_args()
+    guard()
     figures: list[dict[str, Any]] = []
     print(f"{'rate':>6} {'saves':>6} {'median':>8} {'longest':>8} {'out of order':>13}")
     for rate in arguments.rates:

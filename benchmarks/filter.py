@@ -21,6 +21,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from _guard import guard
+
 HERE = Path(__file__).resolve().parent
 EXAMPLE = HERE.parent / "examples" / "filter"
 
@@ -105,6 +107,7 @@ def main() -> None:
     if options.recorder:
         recorder(options.recorder)
         return
+    guard()
     from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "85")

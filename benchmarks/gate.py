@@ -18,6 +18,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from _guard import guard
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT))
 
@@ -126,6 +128,7 @@ def main() -> None:
     parser.add_argument("--requests", action="store_true", help="what a request to a server costs")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
+    guard()
     with tempfile.TemporaryDirectory() as folder:
         if options.rcl:
             found = measure_rcl(Path(folder), options.runs, options.messages or 200_000)

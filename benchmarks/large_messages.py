@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from _guard import guard
 
 RATE = 20.0
 SIZES = {"64 kB": 1 << 16, "1 MB": 1 << 20, "6 MB": 6 << 20}
@@ -101,6 +102,7 @@ def main() -> None:
         return publish(options.publish)
     if options.receive is not None:
         return receive(options.receive)
+    guard()
     from _tuned import tuned_environment
 
     own = dict(os.environ)

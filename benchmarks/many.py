@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import _control_plane_worker as worker
+from _guard import guard
 
 HERE = Path(__file__).resolve().parent
 FEW = 10
@@ -187,6 +188,7 @@ def main() -> None:
     parser.add_argument("--rest", type=float, default=0.0, help="how long before each replacement of a component (s)")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "many.json")
     options = parser.parse_args()
+    guard()
     os.environ.setdefault("ROS_DOMAIN_ID", "86")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     rows: list[dict[str, Any]] = []

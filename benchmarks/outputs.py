@@ -15,6 +15,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from _guard import guard
+
 from midstride import backends
 from midstride.lang.load import load
 from midstride.plan.request import PlanRequest
@@ -104,6 +106,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
     options = parser.parse_args()
+    guard()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     rows, slow = [], False
     print(f"{'':14}{'outputs':>8}{'hand-over, s':>14}{'longest, s':>12}{'the plan says, s':>18}")

@@ -21,6 +21,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from _guard import guard
+
 HERE = Path(__file__).resolve().parent
 # How long starting up and finding each other may take (s).
 PATIENCE = 30
@@ -92,6 +94,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=3)
     parser.add_argument("--out", type=Path, default=HERE / "results" / "overhead.json")
     options = parser.parse_args()
+    guard()
     env = environment()
     results = []
     print(f"{'what':<34}{'component/bare':>16}{'95 %':>18}{'bare/bare':>12}{'95 %':>18}")

@@ -28,6 +28,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from _guard import guard
 from reflex import CHAIN, NODES, Falls, System, specification
 
 from midstride.runtime.timeouts import within
@@ -288,7 +289,7 @@ def main() -> int:
     if (why := missing()) is not None:
         print(f"not measured: no network namespaces can be made here: {why}")
         return 0
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that the namespaces are removed
+    guard()
     with tempfile.TemporaryDirectory() as folder:
         return run(Path(folder), options)
 

@@ -24,6 +24,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from _guard import guard
 from _reflex_nodes import BOND_TIMEOUT, RATE, TOLERATED
 
 HERE = Path(__file__).resolve().parent
@@ -266,6 +267,7 @@ def main() -> None:
     parser.add_argument("--busy", type=int, default=2 * (os.cpu_count() or 2), help="how many busy processes")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "reflex.json")
     options = parser.parse_args()
+    guard()
     from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "87")

@@ -19,6 +19,7 @@ import tempfile
 from pathlib import Path
 
 import psutil
+from _guard import guard
 from overhead import HERE, PATIENCE, NoFigures, environment, interval
 
 from midstride import backends
@@ -98,6 +99,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=4)
     parser.add_argument("--out", type=Path, default=HERE / "results" / "relay.json")
     options = parser.parse_args()
+    guard()
     os.environ.update({name: value for name, value in environment().items() if name.startswith("ROS_")})
     results: dict[str, list[list[dict[str, float]]]] = {}
     print("| | direct | relay | relay / direct | 95 % | control |\n|---|---|---|---|---|---|")

@@ -21,6 +21,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from _guard import guard
 from _recorder import recording
 from swap import Platform, specification
 
@@ -94,6 +95,7 @@ def main() -> int:
     parser.add_argument("--spares", type=int, default=0)
     parser.add_argument("--json", type=Path, metavar="FILE")
     arguments = parser.parse_args()
+    guard()
     options = SystemOptions(**({"spares": arguments.spares} if arguments.spares else {}))
     found = asyncio.run(measure(arguments.crashes, options))
     print(f"{'until':>10} {'median':>9} {'longest':>9}   ({len(found)} crashes, {arguments.spares} spares)")

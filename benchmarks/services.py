@@ -28,6 +28,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from _guard import guard
+
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT))
 
@@ -304,6 +306,7 @@ def run(
     parser.add_argument("--ways", nargs="+", choices=ways, default=list(ways))
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / name)
     options = parser.parse_args()
+    guard()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     options.out.parent.mkdir(exist_ok=True)
     try:

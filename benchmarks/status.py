@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from _guard import guard
 from _status_nodes import PERIOD, SECONDS_ASLEEP
 
 HERE = Path(__file__).resolve().parent
@@ -119,6 +120,7 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=200, help="questions in either state (a tenth of it where slow)")
     parser.add_argument("--out", type=Path, default=HERE / "results" / "status.json")
     options = parser.parse_args()
+    guard()
     from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "86")

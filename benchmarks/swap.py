@@ -1,9 +1,12 @@
-"""What replacing a publisher costs its subscribers, at 50 Hz on real ROS 2, by five ways in one run.
+"""What replacing a publisher costs its subscribers, at 50 Hz on real ROS 2, by several ways in one run.
 
 Midstride's hand-over, its `paper` strategy, a lifecycle node deactivated and another activated, a
 process killed and another started, and a window in which nothing is swapped (what this machine
-does by itself). A bare recorder outside Midstride records them all; the figures are worked out
-from its rows in the same way for each. Functionality-seconds lost are those of the subscriber that relies on
+does by itself). Of components in a container: Midstride's hand-over of one of them, one unloaded and loaded again, and
+two with a lifecycle. If `--dora` names a folder with its command and its Python (`pip install dora-rs dora-rs-cli` in a
+virtual environment: its `bin`), Dora's `node replace`, with its own transport, where a node of Dora records. All others
+are recorded by a bare recorder outside Midstride; the figures are worked out
+from the rows in the same way for each. Functionality-seconds lost are those of the subscriber that relies on
 the topic: as reported for Midstride, the silence beyond one period for the others. swap_ros1.py does the same on ROS 1.
 """
 
@@ -20,11 +23,16 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from _composed_swaps import Components, by_lifecycle_in_container, by_loading
+from _dora_swaps import replaced_by_dora
+from _guard import guard
+from _judging import judged
 from immutables import Map
 
 from midstride.codec.form import encode
@@ -32,10 +40,11 @@ from midstride.model.component import ComponentSpec, Connector, FunctionalitySpe
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime.records.measure import Observation, SwapReport, report
+from midstride.runtime.records.measure import Observation, SwapReport
 from midstride.wire.replies import Receipt
 
 HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE.parent))  # for the stand-in of the tests
 PERIOD = 0.02
 TAIL = 20 * PERIOD
 
@@ -66,7 +75,7 @@ class Way:
         seen = []
         for begun, ended in self.windows:
             near = [row for row in self.rows if begun - 1e9 < row.received <= ended]
-            seen.append(report(Observation("/swap", "recorder", near, begun, ended, PERIOD, PERIOD)))
+            seen.append(judged(Observation("/swap", "recorder", near, begun, ended, PERIOD, PERIOD)))
         return seen
 
 
@@ -117,7 +126,7 @@ def recorded(way: Way, platform: Platform) -> Iterator[None]:
     """The bare recorder runs inside; afterwards the way has its rows."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rows.json"
-        with program(platform, "recorder", str(path)) as process:
+        with program(platform, "recorder", str(path), "10", "word") as process:
             time.sleep(1.0)
             yield
             process.send_signal(signal.SIGTERM)
@@ -133,14 +142,17 @@ def timed(way: Way, swap: Callable[[], None]) -> None:
     way.windows.append((begun, time.monotonic_ns()))
 
 
-async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> None:
+async def midstride(
+    way: Way, platform: Platform, strategy: str, swaps: int, system: Specification | None = None
+) -> None:
+    """``system``: the one whose `source` is replaced; without, that of the platform."""
     from midstride import backends
     from midstride.runtime.manager import Manager
     from midstride.runtime.workspace import Workspace
 
     with tempfile.TemporaryDirectory() as folder:
         manager = Manager(
-            specification(platform),
+            specification(platform) if system is None else system,
             backends.make(platform.backend, Workspace(Path(folder))),
             Workspace(Path(folder)),
             HERE,
@@ -273,44 +285,84 @@ def ways(platform: Platform, swaps: int) -> dict[str, Callable[[Way], None]]:
     }
 
 
+def by_dora(way: Way, programs: Path, swaps: int) -> None:
+    way.rows = [Receipt(*row) for row in replaced_by_dora(programs, swaps, partial(timed, way))]
+
+
+def composed_ways(platform: Platform, swaps: int, components: Components) -> dict[str, Callable[[Way], None]]:
+    """Those of a component in a container."""
+    from midstride.lang.load import load_text
+
+    system = load_text(components.specification()).require()
+    return {
+        "composed": lambda way: asyncio.run(midstride(way, platform, "minimal", swaps, system)),
+        "load": lambda way: by_loading(components, swaps, partial(timed, way)),
+        "composed_lifecycle": lambda way: by_lifecycle_in_container(components, swaps, partial(timed, way)),
+    }
+
+
 def compare(platform: Platform, chosen: list[str], runs: dict[str, Callable[[Way], None]], out: Path) -> None:
     """Run each way, print a line of the table for it, and write them all to ``out``."""
     columns = ("way", "swaps", "gap_median", "gap_p99", "gap_max", "missed", "lost", "duplicates")
-    print("  ".join(f"{column:>10}" for column in columns) + "  functionality-seconds (median)")
+    print("  ".join(f"{column:>18}" for column in columns) + "  functionality-seconds (median)")
     results = []
     for name in chosen:
         way = Way(name)
-        with recorded(way, platform):
+        with nullcontext() if name == "dora" else recorded(way, platform):
             runs[name](way)
         row = summary(way)
         results.append(row)
         shown = [row[column] for column in columns]
         cells = [f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in shown]
-        print("  ".join(f"{cell:>10}" for cell in cells) + f"  {row['functionality_seconds_median']:.3f}", flush=True)
+        print("  ".join(f"{cell:>18}" for cell in cells) + f"  {row['functionality_seconds_median']:.3f}", flush=True)
         for because in row["rolled_back"]:
             print(f"            one was taken back: {because}", flush=True)
     out.parent.mkdir(exist_ok=True)
-    out.write_text(json.dumps({"period": PERIOD, "results": results}, indent=1))
+    out.write_text(json.dumps({"period": PERIOD, "load": os.getloadavg(), "results": results}, indent=1))
 
 
-def options(description: str | None, chosen: list[str], out: str) -> argparse.Namespace:
+def options(description: str | None, chosen: list[str], out: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--swaps", type=int, default=200)
     parser.add_argument("--ways", nargs="*", default=chosen)
     parser.add_argument("--out", type=Path, default=HERE / "results" / out)
-    return parser.parse_args()
+    return parser
+
+
+COMPOSED = ["composed", "load", "composed_lifecycle"]
+
+
+def class_of(words: str) -> tuple[str, str]:
+    """Package and class of a component, as `PACKAGE:CLASS`."""
+    package, _, plugin = words.partition(":")
+    return package, plugin
 
 
 def main() -> None:
-    asked = options(__doc__, ["handover", "paper", "lifecycle", "kill", "none"], "swap.json")
+    parser = options(__doc__, ["handover", "paper", "lifecycle", "kill", "none", *COMPOSED], "swap.json")
+    parser.add_argument("--dora", type=Path, help="the folder with Dora's command and its Python")
+    parser.add_argument("--components", type=Path, help="the component_container of an installed rclcpp_components")
+    parser.add_argument(
+        "--talker", type=class_of, help="with --components: PACKAGE:CLASS that publishes a String on chatter"
+    )
+    parser.add_argument("--managed", type=class_of, help="with --components: the same, with a lifecycle")
+    asked = parser.parse_args()
+    guard()
     from _tuned import tuned_environment
 
     os.environ.setdefault("ROS_DOMAIN_ID", "86")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.update(tuned_environment(dict(os.environ)))
-    platform = Platform("ros2", sys.executable, HERE / "_swap_nodes.py", "std_msgs/msg/String", dict(os.environ))
-    runs = {**ways(platform, asked.swaps), "lifecycle": lambda way: by_lifecycle(way, platform, asked.swaps)}
-    compare(platform, asked.ways, runs, asked.out)
+    chosen = [*asked.ways, *(["dora"] if asked.dora and "dora" not in asked.ways else [])]
+    with tempfile.TemporaryDirectory() as folder:
+        components = Components(asked.talker, asked.managed, asked.components) if asked.components else Components()
+        if not asked.components and {*chosen} & {*COMPOSED}:
+            components = components.prepared(Path(folder))
+        platform = Platform("ros2", sys.executable, HERE / "_swap_nodes.py", "std_msgs/msg/String", dict(os.environ))
+        runs = {**ways(platform, asked.swaps), **composed_ways(platform, asked.swaps, components)}
+        runs["lifecycle"] = lambda way: by_lifecycle(way, platform, asked.swaps)
+        runs["dora"] = lambda way: by_dora(way, asked.dora.absolute(), asked.swaps)
+        compare(platform, chosen, runs, asked.out)
 
 
 if __name__ == "__main__":

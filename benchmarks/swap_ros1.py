@@ -14,11 +14,13 @@ import sys
 import tempfile
 import time
 
+from _guard import guard
 from swap import HERE, Platform, compare, options, ways
 
 
 def main() -> None:
-    asked = options(__doc__, ["handover", "paper", "kill", "none"], "swap_ros1.json")
+    asked = options(__doc__, ["handover", "paper", "kill", "none"], "swap_ros1.json").parse_args()
+    guard()
     from midstride.backends.ros1 import launching
 
     python = launching.interpreter()

@@ -108,7 +108,8 @@ class StandIn:
         self._register(_NAME)
         self._register("rclcpp_components")
         self._compile_interfaces()
-        self._compile("container.c", prefix / "lib" / "rclcpp_components" / "component_container", libraries=[_NAME])
+        container = prefix / "lib" / "rclcpp_components" / "component_container"
+        self._compile(_FOREIGN / "container.c", container, libraries=[_NAME])
         self.install("demo")
 
     @classmethod
@@ -122,24 +123,31 @@ class StandIn:
         importlib.invalidate_caches()
         return made
 
-    def install(self, package: str, text: str = "old") -> None:
-        """Compile the library of a package with the CLASSES, of which talkers say ``text``, and register them."""
+    def install(
+        self,
+        package: str,
+        text: str = "old",
+        classes: Sequence[str] = CLASSES,
+        source: Path = _FOREIGN / "component.c",
+        libraries: Sequence[str] = (),
+    ) -> None:
+        """Compile the library of a package with these classes, of which talkers say ``text``, and register them."""
         self._register(package)
         library = self.prefix / "lib" / f"lib{package}.so"
         built = library.with_suffix(".new")
-        self._compile("component.c", built, "-shared", "-fPIC", f'-DTEXT="{text}"')
+        self._compile(source, built, "-shared", "-fPIC", f'-DTEXT="{text}"', libraries=libraries)
         built.replace(library)  # a process has the old one open
         index = self._index / "rclcpp_components"
         index.mkdir(exist_ok=True)
-        (index / package).write_text("".join(f"{each};lib/lib{package}.so\n" for each in CLASSES), encoding="utf-8")
+        (index / package).write_text("".join(f"{each};lib/lib{package}.so\n" for each in classes), encoding="utf-8")
 
     def _register(self, package: str) -> None:
         (self._index / "packages").mkdir(parents=True, exist_ok=True)
         (self._index / "packages" / package).touch()
 
-    def _compile(self, source: str, target: Path, *options: str, libraries: Sequence[str] = ()) -> None:
+    def _compile(self, source: Path, target: Path, *options: str, libraries: Sequence[str] = ()) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
-        compile_with_ros([_FOREIGN / source], target, [*options, *self._flags()], [*libraries, "dl"])
+        compile_with_ros([source], target, [*options, *self._flags()], [*libraries, "dl"])
 
     def _flags(self) -> list[str]:
         folder = self.prefix / "lib"

@@ -1,7 +1,8 @@
-"""What a benchmark has started ends with it, however that ends."""
+"""What a benchmark has started ends with it, however that ends; each one that starts processes sees to that."""
 
 from __future__ import annotations
 
+import ast
 import signal
 import subprocess
 import sys
@@ -45,3 +46,26 @@ def test_nothing_is_left_of_a_benchmark(how: signal.Signals) -> None:
     said, _ = benchmark.communicate(timeout=30)
     assert said.strip() == ("" if how is signal.SIGKILL else "ended as usual")
     until(lambda: not is_running(pid), "it is left behind")
+
+
+# A benchmark that imports one of them starts processes.
+STARTERS = {"subprocess", "multiprocessing", "playwright.sync_api", "midstride.runtime.manager"}
+# Its manager is that of the simulator.
+SIMULATED = {"steps"}
+
+
+def imported(program: str) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(program)):
+        if isinstance(node, ast.Import):
+            found |= {each.name for each in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+    return found
+
+
+@pytest.mark.parametrize("path", sorted(BENCHMARKS.glob("[a-z]*.py")), ids=lambda path: path.stem)
+def test_a_benchmark_that_starts_processes_ends_them(path: Path) -> None:
+    program = path.read_text(encoding="utf-8")
+    starts = path.stem not in SIMULATED and not STARTERS.isdisjoint(imported(program))
+    assert not starts or "    guard()\n" in program
