@@ -250,6 +250,46 @@ def test_components_without_a_skeleton_have_a_reason() -> None:
     }
 
 
+COMPOSED = """system composed
+topic /image : sensor_msgs/msg/Image @ 10 Hz
+
+component Camera {
+  run component "camera::Camera" package "camera_driver" gate preload
+  output out as image
+  functionality see {
+    produces out
+    mode normal { guarantee out : sensor_msgs/msg/Image @ 10 Hz }
+    mode off { }
+  }
+}
+component Viewer {
+  run "viewer" package "image_view" gate preload
+  input in : sensor_msgs/msg/Image @ 10 Hz as image
+  functionality show { uses in   mode normal { assume in }   mode off { } }
+}
+container vision { run "own_container" package "vision_bringup" }
+node camera : Camera in vision { out -> /image }
+node viewer : Viewer { in <- /image }
+"""
+
+
+def test_a_package_depends_on_what_its_containers_load_and_its_nodes_run() -> None:
+    specification = load_text(COMPOSED).require()
+    made = project(specification, "composed.stride", {PurePosixPath("composed.stride"): COMPOSED})
+    assert made.skipped == {
+        "Camera": "it is a composable node, whose code is in the package camera_driver",
+        "Viewer": "its program does not use Midstride's API: it has a gate",
+    }
+    texts = {str(file.path): file.text for file in made.files}
+    depends = [each.text for each in ElementTree.fromstring(texts["package.xml"]).iter("exec_depend")]
+    alone = ["camera_driver", "composition_interfaces", "image_view", "rclcpp_components", "vision_bringup"]
+    assert depends == ["rclpy", *alone, "launch"]
+    assert texts["composed.stride"] == COMPOSED, "it states the container, which `midstride up` starts"
+    assert '("share/composed", ["package.xml"])' in texts["setup.py"].replace("'", '"')
+    with pytest.raises(SpecificationError, match="Camera: ROS 1 has no composable nodes"):
+        project(specification, "composed.stride", {}, 1)
+
+
 # -- the user's code -----------------------------------------------------------------------------------
 
 OLD = load_text(

@@ -11,6 +11,7 @@ from typing import Any, Final, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from midstride.errors import SpecificationError
 from midstride.generate.generated_names import ProgramFile, program, snake
 from midstride.generate.merge import BEGIN, END, with_mark
 from midstride.generate.skeleton import skeleton
@@ -39,6 +40,8 @@ class Project:
     skipped: dict[str, str] = field(default_factory=dict)
 
 
+# Of the services by which a container loads a node.
+_LOADING: Final = "composition_interfaces"
 _COMMENT: Final = {".xml": ("<!-- ", " -->"), ".launch": ("<!-- ", " -->")}
 
 _TEMPLATES: Final = Environment(
@@ -62,8 +65,19 @@ _TEMPLATES.filters |= {
 def project(
     specification: Specification, file: str, sources: Mapping[PurePosixPath, str], ros: Literal[1, 2] = 2
 ) -> Project:
-    """The project of a system specified in ``file``; ``sources`` are its files, by path relative to its folder."""
+    """The project of a system specified in ``file``; ``sources`` are its files, by path relative to its folder.
+
+    The copy of the specification states its containers, so that none is started but by ``midstride up``. Raises
+    SpecificationError for what ROS 1 does not have, and for a component whose skeleton cannot be written.
+    """
+    composable = sorted(each.name for each in specification.components.values() if each.container is not None)
+    if ros == 1 and composable:
+        raise SpecificationError(
+            f"{', '.join(composable)}: ROS 1 has no composable nodes (`run component`); omit `--ros 1`, or state "
+            "programs of their own"
+        )
     builder = _ProjectBuilder(specification, file, sources)
+    builder.packages |= {each.package for each in specification.containers.values()}
     for _, component in sorted(specification.components.items()):
         builder.component(component)
     builder.result.files += [GeneratedFile(path, text, "copy") for path, text in sources.items()]
@@ -83,7 +97,12 @@ class _ProjectBuilder:
     def component(self, component: ComponentSpec) -> None:
         """Add the skeleton of a component, or the reason why it has none."""
         skipped, run = self.result.skipped, None if component.run is None else program(component.run)
-        if component.run is None:
+        if component.package is not None:
+            self.packages.add(component.package)
+        if component.container is not None:
+            self.packages |= {component.container.package, _LOADING}
+            skipped[component.name] = f"it is a composable node, whose code is in the package {component.package}"
+        elif component.run is None:
             skipped[component.name] = "it has no `run` command: it is started elsewhere"
         elif component.gate is not None:
             skipped[component.name] = "its program does not use Midstride's API: it has a gate"
