@@ -217,6 +217,31 @@ def test_a_plan_says_how_long_a_destructor_may_hold_up_the_others_of_its_contain
     assert any(f"{held_up} (measured: Talker ended within 710 ms)" in each for each in planner()(measured).remarks)
 
 
+def creates(change: Change) -> dict[str, float]:
+    """How long each new instance takes to start, as the plan has it."""
+    plan = planner()(change)
+    return {step.action.instances()[0]: step.seconds for step in plan.steps if step.action.kind == "create"}
+
+
+@pytest.mark.parametrize(("own", "stated"), [("", 1.0), (" takes 2 s", 2.0)])
+def test_a_plan_counts_the_start_of_a_new_process_of_a_container(tmp_path: Path, own: str, stated: float) -> None:
+    slow = TEXT.replace(PROGRAM, PROGRAM.replace(" }", " takes 7 s }"))
+    specification = read(tmp_path, slow.replace('"demo" gate preload', f'"demo"{own} gate preload'))
+    alone = changed(specification, PlanRequest(restart=("b",)))
+    assert creates(alone) == {"b_2": 7.0 + stated}
+    together = changed(specification, PlanRequest(restart=("front/pipeline",)))
+    assert creates(together) == {"b_2": 7.0 + stated, "front/a_2": 7.0 + stated}
+    inside = changed(specification, PlanRequest(restart=("b",), same_process=True))
+    assert creates(inside) == {"b_2": stated}, "its process runs"
+    without = changed(specification, PlanRequest(remove=("b",)))
+    joins = PlanRequest(add=(specification.nodes["b"],))
+    assert creates(requested_change(without.final, without.target, joins, joins.target(without.target))) == {
+        "b": stated
+    }
+    measured = replace(alone, measured=Map({"create Talker": Estimate.exactly(8.5)}))
+    assert creates(measured) == {"b_2": 8.5 if not own else 9.0}, "with the start of the container"
+
+
 WITHIN = (
     TEXT.replace(
         "node b : Talker",

@@ -199,11 +199,11 @@ class AnswerSets:
         for instance in change.coming:
             yield self._op(("create", instance.name), instance.name)
             self._fact("create", ("create", instance.name), instance.name)
-            self._fact("seconds", ("create", instance.name), _scaled(change.seconds("create", instance.component)))
+            self._fact("seconds", ("create", instance.name), _scaled(change.seconds("create", instance)))
         for name in change.leaving:
             yield self._op(("remove", name), name)
             self._fact("remove", ("remove", name), name)
-            self._fact("seconds", ("remove", name), _scaled(change.seconds("remove", change.component_of(name))))
+            self._fact("seconds", ("remove", name), _scaled(change.seconds("remove", change.instance(name))))
         for kind, pairs in (("attach", change.attached), ("detach", change.detached)):
             for port, connector in pairs:
                 yield self._attachment((kind, port, connector), port, connector)
@@ -222,10 +222,10 @@ class AnswerSets:
         if not choice.moved:
             self._fact("stand_in", choice, choice.role)
         create, remove = ("create", new.name), ("remove", choice.leaving)
-        gone = self.instances[choice.leaving].component
+        gone = self.instances[choice.leaving]
         ops = [self._op(create, new.name), self._op(remove, choice.leaving)]
         self._fact("create", create, new.name)
-        self._fact("seconds", create, _scaled(change.seconds("create", new.component)))
+        self._fact("seconds", create, _scaled(change.seconds("create", new)))
         self._fact("remove", remove, choice.leaving)
         self._fact("seconds", remove, _scaled(change.seconds("remove", gone)))
         for kind, pairs in (("attach", choice.attached), ("detach", choice.detached)):

@@ -162,10 +162,10 @@ class Exhaustive:
         op, *others = after - before
         if others or op.kind not in ("create", "remove"):
             return 0.0
-        component = self.change.component_of(op.name)
+        instance = self.change.instance(op.name)
         losses = self.losses(before), self.losses(after)
         refs = {*losses[0], *losses[1]}
-        return sum(max(loss.get(ref, 0.0) for loss in losses) for ref in refs) * self.change.seconds(op.kind, component)
+        return sum(max(loss.get(ref, 0.0) for loss in losses) for ref in refs) * self.change.seconds(op.kind, instance)
 
     def optimum(self, spotless: bool = False) -> float | None:
         """The least disruption of any plan, or of those that let nothing fall (``spotless``); None if there is none."""
@@ -352,7 +352,7 @@ class Limited(Exhaustive):
         op, *others = after - before
         taken = 0.0
         if not others and op.kind in ("create", "remove"):
-            taken = self.change.seconds(op.kind, self.change.component_of(op.name))
+            taken = self.change.seconds(op.kind, self.change.instance(op.name))
         lost = {*self.losses(before), *self.losses(after)}
         return tuple(
             round(seconds + taken * (limit.functionality in lost), 9)

@@ -148,11 +148,12 @@ def test_durations_are_declared_else_measured_else_the_default() -> None:
     target = start.with_replaced("talker", "NewTalker")
     measured = {"create NewTalker": 9.0, "detach": 9.0, "attach": 0.7, "create Listener": 2.5, "create": 3.5}
     change = change_between(initial(start), start, target, exactly(measured))
-    assert change.seconds("create", slow) == 4.0
+    (coming,) = change.coming
+    assert change.seconds("create", coming) == 4.0
     assert change.seconds("detach") == 0.3
     assert change.seconds("attach") == 0.7
-    assert change.seconds("create", start.components["Listener"]) == 2.5
-    assert change.seconds("create", start.components["Talker"]) == 3.5
+    assert change.seconds("create", change.instance("listener")) == 2.5
+    assert change.seconds("create", change.instance("talker")) == 3.5
     assert change.seconds("remove") == 0.2
 
 

@@ -72,7 +72,7 @@ def test_a_plan_counts_the_time_until_a_process_is_killed_as_its_component_state
     assert taken.between[1] == pytest.approx(plain.seconds + 15.8, abs=0.2)
     # What was measured is expected, and no less than the stated time is possible.
     measured = change_between(initial(stated), stated, target, {"remove OldA": Estimate(2.0, 1.0, 3.0)})
-    assert measured.estimate("remove", old) == Estimate(2.0, 1.0, 16.0)
+    assert measured.estimate("remove", measured.instance("a")) == Estimate(2.0, 1.0, 16.0)
 
 
 def replacement(

@@ -97,6 +97,6 @@ def _seconds(plan: Plan) -> Callable[[str, Instance], float]:
 
     def seconds(kind: str, instance: Instance) -> float:
         stated = found.get((kind, instance.role, instance.component.name))
-        return plan.change.seconds(kind, instance.component) if stated is None else stated
+        return plan.change.seconds(kind, instance) if stated is None else stated
 
     return seconds

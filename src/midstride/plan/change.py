@@ -87,34 +87,45 @@ class Change:
     def is_output(self, port: PortRef) -> bool:
         return self.component_of(port.instance).has_output(port.port)
 
-    def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
+    def seconds(self, kind: str, instance: Instance | None = None) -> float:
         """How long a step is expected to take (s)."""
-        return self.estimate(kind, component).seconds
+        return self.estimate(kind, instance).seconds
 
-    def estimate(self, kind: str, component: ComponentSpec | None = None) -> Estimate:
+    def estimate(self, kind: str, instance: Instance | None = None) -> Estimate:
         """How long a step takes: declared in the target, else measured earlier, else the stated default.
 
-        To a hand-over, :meth:`estimate_of` adds the probation of its outputs; the time for which they are watched
-        afterwards is in it. A removal takes at most what the component states until it is killed.
+        An instance with a new process of its container also waits until that can load it, which is in what was measured
+        of its component. To a hand-over, :meth:`estimate_of` adds the probation of its outputs; the time for which they
+        are watched afterwards is in it. A removal takes at most what the component states until it is killed.
         """
         timing = self.target.timing
+        component = None if instance is None else instance.component
+        waits = self._container_seconds(instance) if kind == "create" and instance is not None else 0.0
         if kind == "create" and component is not None and component.startup_seconds is not None:
-            return Estimate.exactly(component.startup_seconds)
-        measured = self.measured.get(kind)
-        if component is not None:
-            measured = self.measured.get(f"{kind} {component.name}", measured)
+            return Estimate.exactly(component.startup_seconds).plus(waits)
+        own = None if component is None else self.measured.get(f"{kind} {component.name}")
+        measured = self.measured.get(kind) if own is None else own
         if kind not in timing and measured is not None:
-            found = measured
+            found = measured if own is not None else measured.plus(waits)
         else:
-            found = Estimate.exactly(timing.get(kind, DEFAULT_SECONDS[kind]))
+            found = Estimate.exactly(timing.get(kind, DEFAULT_SECONDS[kind])).plus(waits)
         if kind == "remove" and component is not None and component.stop is not None and component.gate is not None:
             return found.at_most(component.stop.longest + (component.stop.drain if component.loads_library else 0.0))
         return found.plus(handover_seconds(timing, "watch_after")) if kind in ("handover", "set") else found
 
+    def _container_seconds(self, instance: Instance) -> float:
+        """How long the container of ``instance`` states to need before it loads a node (s); 0 if its process runs."""
+        if instance.container is None or instance.container.program.startup_seconds is None:
+            return 0.0
+        running = self.start.instances.values() if instance.process else ()
+        if any(each.container is not None and each.process == instance.process for each in running):
+            return 0.0
+        return instance.container.program.startup_seconds
+
     def estimate_of(self, action: Action) -> Estimate:
         """How long ``action`` takes."""
         created = isinstance(action, Create | Remove)
-        found = self.estimate(action.kind, self.component_of(*action.instances()) if created else None)
+        found = self.estimate(action.kind, self.instance(*action.instances()) if created else None)
         return found.plus(self.probation(action)) if isinstance(action, Handover) else found
 
     def probation(self, action: Handover) -> float:

@@ -224,4 +224,4 @@ def _holds(change: Change, op: Op, resource: str) -> Fraction:
 
 
 def _seconds(change: Change, op: Op) -> float:
-    return 0.0 if op.port is not None else change.seconds(op.kind, change.component_of(op.instance))
+    return 0.0 if op.port is not None else change.seconds(op.kind, change.instance(op.instance))

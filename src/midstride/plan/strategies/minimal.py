@@ -240,7 +240,7 @@ def _priority(state: SearchState) -> tuple[bool, float, float, int]:
     """The rank of a state: is it doomed, and what will it have cost, roughly, once everything that fell is restored?"""
     change, meter = state.builder.change, state.builder.meter
     roles = {ref.instance for ref in meter.below}
-    awaited = [change.seconds("create", i.component) for i in state.creates.values() if i.role in roles]
+    awaited = [change.seconds("create", i) for i in state.creates.values() if i.role in roles]
     cost = meter.disruption + meter.missing * max(awaited, default=0.0)
     return state.builder.is_doomed, cost, meter.missing, len(state.builder.numbered)
 
