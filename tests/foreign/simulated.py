@@ -41,7 +41,7 @@ class SimulatedNode:
 
     ``refuses`` and ``hangs`` have transitions; ``rejects``: by parameter, why it cannot be set. ``ends_on``: the signal
     on which its process ends; on None of them, it has to be killed. ``slow``: how long a transition takes besides (s);
-    it may have `export` and `import`, too.
+    it may have `export` and `import`, and `state`, for how long it takes to say that, too.
     ``lacks``: the parameters that it does not declare; ``forgets``: it has set what it was asked to, and hangs then.
     ``kept``: its state, None where it offers none; ``no_export`` and ``no_import``: why it refuses, if so.
     ``hangs`` may have `export` and `import`, too.
@@ -74,6 +74,10 @@ class SimulatedNode:
         await asyncio.sleep(0.001)
 
     async def lifecycle_state(self, timeout: float) -> str:
+        if (seconds := self.slow.get("state", 0.0)) > timeout:
+            await asyncio.sleep(timeout)
+            raise NoAnswer(f"{self.instance} has not answered within {timeout:g} s")
+        await asyncio.sleep(seconds)
         await self._answers(timeout)
         return self.state
 

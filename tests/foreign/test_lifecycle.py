@@ -249,6 +249,19 @@ def test_a_failed_activation_is_undone_in_the_time_that_the_plan_says_however_sl
     managed(tmp_path, body, {"Other": {"hangs": {"activate"}}, "Talker": {**slow}})
 
 
+def test_an_old_one_that_has_been_deactivated_is_not_blamed_for_a_new_one_that_hangs(tmp_path: Path) -> None:
+    """On a busy machine it takes longer to say its state than one that may hang has for that (``PATIENCE``)."""
+
+    async def body(manager: Manager, simulator: SimulatedRos) -> None:
+        simulator.nodes["talker"].slow["state"] = 0.7
+        outcome = await manager.change(REPLACE)
+        assert outcome.outcome == "rolled_back", outcome.because
+        assert "talker_2 has not answered `activate` within 5 s" in str(outcome.because)
+        await settled(manager, outcome, ["listener", "talker"], simulator)
+
+    managed(tmp_path, body, {"Other": {"hangs": {"activate"}}})
+
+
 def test_an_old_one_that_cannot_be_deactivated_goes_on(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: SimulatedRos) -> None:
         outcome = await manager.change(REPLACE)

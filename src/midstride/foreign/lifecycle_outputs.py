@@ -20,12 +20,17 @@ from midstride.foreign.ungated_outputs import UngatedOutputs
 from midstride.wire import commands, replies
 
 
-@dataclass(frozen=True)
+@dataclass
 class LifecycleExchange:
-    """The topics were ``silent`` for so long (s); ``state``: of how many bytes was the state that has moved, if any."""
+    """The transitions of both sides, one after the other. The topics were ``silent`` for so long (s).
 
-    silent: float
-    state: int | None
+    ``passed``: the old side has done its part. ``state``: of how many bytes was the state that has moved, if any.
+    """
+
+    task: asyncio.Task[None] = field(init=False)
+    passed: bool = False
+    silent: float = 0.0
+    state: int | None = None
 
 
 @dataclass
@@ -33,7 +38,7 @@ class LifecyclePeers:
     """The lifecycle nodes of a system, and the hand-overs between them, by cut."""
 
     nodes: dict[str, LifecycleNode] = field(default_factory=dict)
-    exchanges: dict[str, asyncio.Task[LifecycleExchange]] = field(default_factory=dict)
+    exchanges: dict[str, LifecycleExchange] = field(default_factory=dict)
 
 
 class LifecycleOutputs(UngatedOutputs):
@@ -96,9 +101,10 @@ class LifecycleOutputs(UngatedOutputs):
         theirs = [port for port, topic in old.node.record.topics.items() if topic in topics]
         ours = [swap.port for swap in command.swaps]
         self._cuts[command.cut] = command.peer, ours
-        exchange = asyncio.get_running_loop().create_task(self._exchange(old, theirs, ours, command.state))
-        self._peers.exchanges[command.cut] = exchange
-        exchange.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved
+        exchange = self._peers.exchanges[command.cut] = LifecycleExchange()
+        making = self._make_transitions(exchange, old, theirs, ours, command.state)
+        exchange.task = asyncio.get_running_loop().create_task(making)
+        exchange.task.add_done_callback(lambda done: done.cancelled() or done.exception())  # retrieved
         return replies.Done()
 
     async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
@@ -108,34 +114,44 @@ class LifecycleOutputs(UngatedOutputs):
         if self._answering is not None:
             await self._answering.finish()
 
-    async def _exchange(
-        self, old: LifecycleNode, theirs: list[str], ours: list[str], transfer: commands.StateTransfer | None
-    ) -> LifecycleExchange:
+    async def _make_transitions(
+        self,
+        exchange: LifecycleExchange,
+        old: LifecycleNode,
+        theirs: list[str],
+        ours: list[str],
+        transfer: commands.StateTransfer | None,
+    ) -> None:
         begun = asyncio.get_running_loop().time()
         await old.set_links(dict.fromkeys(theirs, "closed"))
-        state = None
         if transfer is not None:
             states = self._states.nodes
             own, other = self._node.record.instance, old.node.record.instance
-            state = await moved(states[other], states[own], transfer.timeout)
+            exchange.state = await moved(states[other], states[own], transfer.timeout)
+        exchange.passed = True
         await self._own.set_links(dict.fromkeys(ours, "open"))
-        silent = asyncio.get_running_loop().time() - begun
-        self._own.handed_over(silent)
-        return LifecycleExchange(silent, state)
+        exchange.silent = asyncio.get_running_loop().time() - begun
+        self._own.handed_over(exchange.silent)
 
     async def await_cut(self, command: commands.AwaitCutCommand) -> replies.CutResult:
-        """Both sides: until the new one is active, or one of them has failed to make its transition."""
+        """Both sides: until the new one is active, or one of them has failed to make its transition.
+
+        Where the new one has failed, the old one is done: it does not hang, however slowly it answers.
+        """
         if (exchange := self._peers.exchanges.get(command.cut)) is None:
             raise CommandRefused(f"there is no cut {command.cut}")
-        await asyncio.wait({exchange}, timeout=command.timeout)
-        if not exchange.done() or exchange.cancelled():
-            return replies.CutResult(outcome="waiting", because="the transitions have not ended in time")
-        if (error := exchange.exception()) is not None:
-            return replies.CutResult(outcome="waiting", because=str(error))
-        silent, state = exchange.result().silent, exchange.result().state
-        words = f"{silent:.3f} s for the transitions of both lifecycle nodes, in which neither was active"
-        moved_state = None if state is None else replies.MovedState(bytes=state, silent=silent, held=0.0)
-        return replies.CutResult(outcome="done", because=words, moved=moved_state)
+        await asyncio.wait({exchange.task}, timeout=command.timeout)
+        if not exchange.task.done() or exchange.task.cancelled():
+            because = "the transitions have not ended in time"
+        elif (error := exchange.task.exception()) is not None:
+            because = str(error)
+        else:
+            silent, state = exchange.silent, exchange.state
+            words = f"{silent:.3f} s for the transitions of both lifecycle nodes, in which neither was active"
+            moved_state = None if state is None else replies.MovedState(bytes=state, silent=silent, held=0.0)
+            return replies.CutResult(outcome="done", because=words, moved=moved_state)
+        is_new = self._cuts.get(command.cut, (None, []))[0] is not None
+        return replies.CutResult(outcome="done" if exchange.passed and not is_new else "waiting", because=because)
 
     async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         """Either side: the new one becomes inactive again, and the old one active.
@@ -146,8 +162,8 @@ class LifecycleOutputs(UngatedOutputs):
         peer, ports = self._cuts.pop(command.cut, (None, []))
         exchange = self._peers.exchanges.get(command.cut)
         if exchange is not None and peer is not None:
-            exchange.cancel()
-            await asyncio.wait({exchange})
+            exchange.task.cancel()
+            await asyncio.wait({exchange.task})
             closing = self._own if self._own.lifecycle.responsive else None
             if closing is None:
                 self._node.set_links(dict.fromkeys(ports, "closed"))

@@ -160,7 +160,8 @@ class MovedState(WireValue, frozen=True, kw_only=True):
 class CutResult(WireValue, frozen=True, kw_only=True):
     """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
 
-    Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
+    Old side: *done* once it has passed the cut and the new side has written; of a lifecycle node, once it is inactive.
+    *waiting*: not finished in time.
     ``because``: what was wrong with the transfer of state; ``moved``: what has moved, of nodes without the API.
     ``by_input``: both answer messages, and each message is answered by one of them. ``out_of_step``: it was begun so,
     and one of the two has done otherwise before it was over.

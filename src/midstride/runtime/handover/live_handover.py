@@ -416,7 +416,8 @@ class LiveHandover:
                 what = "publish after the cut" if cut.swaps else "take over"
                 # A component that is busy with exporting its state does not hang. A node without Midstride's API that
                 # has not done its part may: it is asked.
-                failed = StepFailed if because is not None and cut.arbiter.by_moment else OldSideFailed
+                is_blameless = because is not None and (cut.arbiter.by_moment or outgoing.outcome == "done")
+                failed = StepFailed if is_blameless else OldSideFailed
                 raise failed(f"{cut.new} did not {what}; {cut.old} continues{reason}")
             # A new side that has published, and is still reporting it, has taken over if the old one knows.
             if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":
