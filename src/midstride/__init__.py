@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from midstride.errors import MidstrideError, NodeError, Unanswered
     from midstride.model.contract import QoS
+    from midstride.node.author.client_ports import ActionClientPort, ClientPort
     from midstride.node.author.component_class import Component
     from midstride.node.author.declared_contracts import at_least, at_most, between, guarantee
     from midstride.node.author.declared_parameters import Parameter
     from midstride.node.author.functionality import Functionality
     from midstride.node.author.modes import approximate
     from midstride.node.author.ports import Input, Output, any_of
-    from midstride.node.author.service_ports import ActionClientPort, ActionServerPort, ClientPort, ServerPort
+    from midstride.node.author.server_ports import ActionServerPort, ServerPort
     from midstride.wire.state import Measured
 
 __version__ = "0.1.0"
@@ -52,9 +53,9 @@ __all__ = [
 ]
 
 _HOMES = {
-    "ActionClientPort": "midstride.node.author.service_ports",
-    "ActionServerPort": "midstride.node.author.service_ports",
-    "ClientPort": "midstride.node.author.service_ports",
+    "ActionClientPort": "midstride.node.author.client_ports",
+    "ActionServerPort": "midstride.node.author.server_ports",
+    "ClientPort": "midstride.node.author.client_ports",
     "Component": "midstride.node.author.component_class",
     "Functionality": "midstride.node.author.functionality",
     "Input": "midstride.node.author.ports",
@@ -64,7 +65,7 @@ _HOMES = {
     "Output": "midstride.node.author.ports",
     "Parameter": "midstride.node.author.declared_parameters",
     "QoS": "midstride.model.contract",
-    "ServerPort": "midstride.node.author.service_ports",
+    "ServerPort": "midstride.node.author.server_ports",
     "Unanswered": "midstride.errors",
     "any_of": "midstride.node.author.ports",
     "approximate": "midstride.node.author.modes",

@@ -7,7 +7,7 @@ from typing import Any
 
 from midstride import Component
 from midstride.backends.simulator.virtual_loop import run
-from midstride.node.author.service_ports import ServerLink
+from midstride.node.author.server_ports import ServerLink
 from midstride.node.data.functionality_runner import FunctionalityRunner
 from midstride.wire.state import MeasuredResponses
 from tests.node.test_service_ports import ServiceHost, Trigger, nothing

@@ -13,7 +13,8 @@ import pytest
 from midstride import Component, NodeError, Unanswered, any_of
 from midstride.backends.simulator.virtual_loop import run
 from midstride.model.contract import Predicate
-from midstride.node.author.service_ports import ABSENT, NEVER_SEEN, OVERDUE, ClientLink, ClientPort, ServerLink
+from midstride.node.author.client_ports import ABSENT, NEVER_SEEN, OVERDUE, ClientLink, ClientPort
+from midstride.node.author.server_ports import ServerLink
 from midstride.node.component_host import Host
 from midstride.node.control.component_reflex import Watch
 from midstride.node.data.functionality_runner import FunctionalityRunner

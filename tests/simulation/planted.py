@@ -12,8 +12,8 @@ import pytest
 from midstride.errors import CallTimeout
 from midstride.model.action import Create, Remove
 from midstride.node.accepted_goals import Goals
-from midstride.node.author import service_ports
-from midstride.node.author.service_ports import ClientPort
+from midstride.node.author import client_ports
+from midstride.node.author.client_ports import ClientPort
 from midstride.node.control import component_agent
 from midstride.node.control.command_handlers import CommandHandlers
 from midstride.node.control.service_answering import Answering
@@ -311,7 +311,7 @@ def _unanswered_not_ended(patch: pytest.MonkeyPatch) -> None:
 
 def _server_believed_there(patch: pytest.MonkeyPatch) -> None:
     """A client does not notice that its server has left."""
-    patch.setattr(service_ports, "ABSENT", math.inf)
+    patch.setattr(client_ports, "ABSENT", math.inf)
 
 
 def _goals_not_left(patch: pytest.MonkeyPatch) -> None:

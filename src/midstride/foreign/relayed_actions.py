@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import Unanswered
-from midstride.node.author.service_ports import ActionServerPort
+from midstride.node.author.server_ports import ActionServerPort
 from midstride.node.component_host import CalledService, Host
 
 # The states of a goal that has ended, as `action_msgs/msg/GoalStatus` has them.

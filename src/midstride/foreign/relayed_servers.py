@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any, Final
 
 from midstride.errors import Unanswered
-from midstride.node.author.service_ports import ServerPort
+from midstride.node.author.server_ports import ServerPort
 from midstride.node.component_host import CalledService, Host
 
 # How many requests to a server may be at the program at once: its queue has room for ten, unless it asks for another

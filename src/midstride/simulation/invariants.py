@@ -14,7 +14,7 @@ from typing import Final
 
 from midstride.backends.simulator.network import SimulatedWriter
 from midstride.model.component import FunctionalityRef
-from midstride.node.author.service_ports import ABSENT
+from midstride.node.author.client_ports import ABSENT
 from midstride.node.control.shortfall import LONG_FLOOR
 from midstride.runtime.handover.agreed_cut import RESUME_PERIODS
 from midstride.simulation.oracle import Oracle, Shown

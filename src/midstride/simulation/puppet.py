@@ -35,12 +35,13 @@ from midstride.backends.common_messages import message_class
 from midstride.codec.component_form import decode_component
 from midstride.model import component as model
 from midstride.model.contract import Predicate, satisfies
+from midstride.node.author.client_ports import ActionClientPort, ClientPort
 from midstride.node.author.component_class import Component
 from midstride.node.author.declared_contracts import guarantee
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import approximate
 from midstride.node.author.ports import Input, Output, any_of
-from midstride.node.author.service_ports import ActionClientPort, ClientPort, ServerPort
+from midstride.node.author.server_ports import ServerPort
 
 # How often a mode is called that assumes clients alone (Hz), and how long a goal takes (s).
 ASKING: Final = 5.0

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from midstride.backends.simulator.service_network import ServiceObserver, SimulatedRequest
 from midstride.backends.simulator.simulated_process import SimulatedProcess
-from midstride.node.author.service_ports import OVERDUE
+from midstride.node.author.client_ports import OVERDUE
 from midstride.node.control.shortfall import LONG_FLOOR
 from midstride.node.request_admission import HOLD
 from midstride.simulation.goal_invariants import GoalInvariants

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from midstride.errors import MidstrideError
 from midstride.model.specification import HANDOVER_SECONDS
-from midstride.node.author.service_ports import OVERDUE
+from midstride.node.author.client_ports import OVERDUE
 from midstride.node.control.component_agent import HEARTBEAT
 from midstride.plan.forms.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.plan.request import PlanRequest

@@ -23,8 +23,9 @@ from midstride.codec.component_form import encode_component
 from midstride.model.component import ComponentSpec
 from midstride.model.contract import ConnectorKind, connector_kind
 from midstride.model.specification import Specification
+from midstride.node.author.client_ports import ClientPort
 from midstride.node.author.ports import Output
-from midstride.node.author.service_ports import ClientPort, ServerPort
+from midstride.node.author.server_ports import ServerPort
 from midstride.node.request_admission import RequestAdmission
 from midstride.runtime.backend_protocol import Launch
 from midstride.simulation.puppet import Puppet

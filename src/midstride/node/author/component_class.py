@@ -17,21 +17,14 @@ from midstride.model.component import ParameterValue
 from midstride.model.contract import Predicate, QoS
 from midstride.node.author import declared_contracts
 from midstride.node.author.author_clock import ComponentClock
+from midstride.node.author.client_ports import ActionClientPort, ClientPort
 from midstride.node.author.declaration import DeclaredParts, declare
-from midstride.node.author.declared_contracts import FieldConditions
+from midstride.node.author.declared_contracts import FieldConditions, check_service, check_within
 from midstride.node.author.declared_parameters import Parameter, check_parameter
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import listed
 from midstride.node.author.ports import Input, Output
-from midstride.node.author.service_ports import (
-    ActionClientPort,
-    ActionServerPort,
-    ClientPort,
-    RequestFunction,
-    ServerPort,
-    check_service,
-    check_within,
-)
+from midstride.node.author.server_ports import ActionServerPort, RequestFunction, ServerPort
 from midstride.node.control.component_agent import Agent
 from midstride.node.loaded_program import ProgramFiles
 from midstride.node.process_context import find, host_factory

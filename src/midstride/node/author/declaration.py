@@ -13,11 +13,12 @@ from midstride.errors import NodeError
 from midstride.model import component as model
 from midstride.model.contract import NOTHING, Predicate, explain, satisfies
 from midstride.model.wording import KIND_WORDS
+from midstride.node.author.client_ports import ClientPort
 from midstride.node.author.declared_parameters import Parameter
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import DeclaredMode
 from midstride.node.author.ports import Input, Output
-from midstride.node.author.service_ports import ClientPort, ServerPort
+from midstride.node.author.server_ports import ServerPort
 from midstride.wire import replies
 from midstride.wire.commands import SetParametersCommand
 

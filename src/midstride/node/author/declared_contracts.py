@@ -1,4 +1,4 @@
-"""From what an author writes to the model's contracts: message types, rates, QoS and field constraints."""
+"""From what an author writes to the model's contracts: types, rates, QoS and field constraints."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, Predicate, Qo
 
 # What may be written for a set of values: the set itself, its members, or its only member.
 FieldConditions: TypeAlias = Mapping[str, Any]
+
+# The class of what a client sends, as its type names it, by the folder of the type.
+REQUEST_OF: Final = {"srv": "Request", "action": "Goal"}
 
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _POLICIES: Final = {
@@ -210,3 +213,18 @@ def _fields_hint(message: Any) -> str:
     names = list(fields()) if fields else list(getattr(message, "__dataclass_fields__", ()))
     names = [name for name in names if not name.startswith("_")]
     return f"; its fields are {', '.join(names)}" if names else ""
+
+
+def check_service(type_: object, where: str, kind: str = "srv") -> type:
+    """Return the class of a service or ROS action (``kind``) of ROS 2. Raises NodeError for any other class."""
+    if hasattr(type_, "_request_class"):  # of ROS 1
+        raise NodeError(f"{where}: only ROS 2 has services as ports; on ROS 1, create it in on_setup")
+    if not isinstance(type_, type) or not hasattr(type_, REQUEST_OF[kind]):
+        raise NodeError(f"{where}: {type_!r} is not {class_of(kind)}")
+    type_name(type_, where, kind)
+    return type_
+
+
+def check_within(within: object, where: str) -> float | None:
+    """Return a bound (s), or None where none is stated. Raises NodeError."""
+    return None if within is None else check_seconds(within, f"{where}, within=")

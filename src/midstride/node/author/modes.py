@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from midstride.errors import NodeError
+from midstride.node.author.client_ports import ClientPort
 from midstride.node.author.declared_contracts import NO_PROMISE, Guarantee, check_name, check_rate, check_seconds
 from midstride.node.author.ports import AnyOf, Driven, Input, Output
-from midstride.node.author.service_ports import ClientPort, ServerPort
+from midstride.node.author.server_ports import ServerPort
 
 Function: TypeAlias = Callable[..., Any]
 ModeFunction: TypeAlias = Function | Mapping[Input, Function]

@@ -15,10 +15,11 @@ from functools import partial
 from typing import Final
 
 from midstride.errors import CommandRefused
+from midstride.node.author.client_ports import ClientLink, ClientPort
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.ports import Input, InputLink, Output, OutputLink
-from midstride.node.author.service_ports import ClientLink, ClientPort, ServerLink, ServerPort
+from midstride.node.author.server_ports import ServerLink, ServerPort
 from midstride.node.component_host import Host
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.data.mode_switch import DataExecutor, within

@@ -20,7 +20,7 @@ from midstride.errors import BackendError, CommandRefused
 from midstride.model.component import CANCELLING, ROS_PARAMETERS, same_value
 from midstride.model.wording import LOST_AT_END
 from midstride.node.author.declaration import DeclaredParts
-from midstride.node.author.service_ports import ActionServerPort, ServerPort
+from midstride.node.author.server_ports import ActionServerPort, ServerPort
 from midstride.node.component_host import HeldParameter, Host
 from midstride.node.control.attachments import Attachments
 from midstride.node.control.component_reflex import Reflex

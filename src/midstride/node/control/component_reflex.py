@@ -16,8 +16,9 @@ from functools import partial
 from typing import Final
 
 from midstride.errors import CommandRefused
+from midstride.node.author.client_ports import ABSENT, ClientPort
 from midstride.node.author.ports import Input, Output
-from midstride.node.author.service_ports import ABSENT, ClientPort, ServerPort
+from midstride.node.author.server_ports import ServerPort
 from midstride.node.component_host import Host
 from midstride.node.control.shortfall import FLOOR, LONG_FLOOR, Shortfall, Stopwatch, tolerated_periods
 from midstride.node.data.functionality_runner import FunctionalityRunner

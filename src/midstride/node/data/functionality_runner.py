@@ -13,10 +13,11 @@ from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 from midstride.errors import Unanswered
+from midstride.node.author.client_ports import ClientPort
 from midstride.node.author.functionality import Functionality
 from midstride.node.author.modes import DeclaredMode, Function
 from midstride.node.author.ports import Driven, Input, OutputOwner
-from midstride.node.author.service_ports import ClientPort, ServerPort
+from midstride.node.author.server_ports import ServerPort
 from midstride.node.component_host import Host
 from midstride.node.data.trigger import OnRate, Trigger, trigger_of
 from midstride.node.legible import legible
