@@ -48,11 +48,25 @@ def test_shared_memory_that_may_be_that_of_others_is_no_reason_to_refuse(tmp_pat
 
 def test_a_repacking_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     moved = plan(tmp_path, PlanRequest(restart=("front/pipeline",)))
-    way_out = "end something, or restart its nodes one at a time, each in a process for itself"
+    way_out = r"end something, restart its nodes one at a time \(`midstride restart b`, then the others\), each in"
     with pytest.raises(PlanRefused, match=f"100 MiB of memory, as much .* has, and 99 MiB are left; {way_out}"):
         said(moved, Memory(99 * MIB, 10 * MIB))
     with pytest.raises(PlanRefused, match=r"2\.1 GiB of memory, as much .* 2\.0 GiB are left"):  # in two processes now
         said(moved, Memory(2047 * MIB, 100 * MIB), {"b": 7, "front/a": 8})
+
+
+def test_what_the_refusal_names_needs_less(tmp_path: Path) -> None:
+    """The last one that leaves has a new process of the container, which is looked at again: it has one node now."""
+    specification, nothing = read(tmp_path), Memory(0, 0)
+    first = changed(specification, PlanRequest(restart=("b",)))
+    assert said(planner()(first), nothing) == []
+    last = changed(specification, PlanRequest(restart=("front/a",)), first)
+    pids = {"b_2": 8, "front/a": 7}
+    with pytest.raises(PlanRefused, match="99 MiB are left; end something, or use `--strategy stop`, which ends"):
+        said(planner()(last), Memory(99 * MIB, 0), pids)
+    assert len(said(planner()(last), Memory(100 * MIB, 100 * MIB), pids)) == 1
+    for change, running in ((changed(specification, PlanRequest(restart=("front/pipeline",))), PIDS), (last, pids)):
+        assert said(planner("stop")(change), nothing, running) == []
 
 
 def test_what_needs_no_second_process_is_not_looked_at(tmp_path: Path) -> None:

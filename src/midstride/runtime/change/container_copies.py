@@ -43,7 +43,7 @@ def room_for_copies(
     if needed.own > left.own:
         raise PlanRefused(
             f"{what}needs about {_size(needed.own)} of memory, as much as the old process has, and {_size(left.own)} "
-            "are left; end something, or restart its nodes one at a time, each in a process for itself"
+            f"are left; {_ways_out(plan)}"
         )
     yield f"{what}needs about {_size(needed.own)} of memory, and {_size(left.own)} are left"
     if needed.shared > left.shared:
@@ -51,6 +51,16 @@ def room_for_copies(
             f"{what}may need up to {_size(needed.shared)} of shared memory ({SHARED}), of which {_size(left.shared)} "
             "are left; how much of that others have made is not known"
         )
+
+
+def _ways_out(plan: Plan) -> str:
+    """How the nodes of a plan get new code with less memory."""
+    roles = sorted({plan.change.role_of(name) for names in _copied(plan).values() for name in names})
+    stop = "use `--strategy stop`, which ends the old process first and pauses what is in it"
+    if len(roles) < 2:
+        return f"end something, or {stop}"
+    alone = f"restart its nodes one at a time (`midstride restart {roles[0]}`, then the others)"
+    return f"end something, {alone}, each in a process for itself, or {stop}"
 
 
 def _copied(plan: Plan) -> dict[str, list[str]]:
