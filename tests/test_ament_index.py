@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.ament_index import executable
+from midstride.ament_index import executable, installed_program
 from midstride.backends.simulator import Simulator
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.errors import StartFailed
@@ -32,6 +32,27 @@ def planted(prefix: Path, package: str, *programs: str) -> str:
         (folder / name).write_text("#!/bin/sh\n", encoding="utf-8")
         (folder / name).chmod(0o755)
     return str(prefix)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["{}/lib/demo_nodes/talker"], ("talker", "demo_nodes")),
+        (["{}/lib/demo_nodes/talker", "--loud", "--ros-args", "-r", "__node:=x"], ("talker --loud", "demo_nodes")),
+        (["/usr/bin/python3", "{}/lib/demo_nodes/talker", "--ros-args"], ("talker", "demo_nodes")),
+        (["/usr/bin/python3", "-u", "{}/lib/demo_nodes/talker"], None),
+        (["{}/lib/other_nodes/talker"], None),
+        (["lib/demo_nodes/talker"], None),
+        (["{}/bin/demo_nodes/talker"], None),
+        ([], None),
+    ],
+)
+def test_which_installed_program_a_process_is(tmp_path: Path, words: list[str], found: tuple[str, str] | None) -> None:
+    prefix, proc = planted(tmp_path / "demo", "demo_nodes", "talker"), tmp_path / "proc" / "7"
+    proc.mkdir(parents=True)
+    (proc / "cmdline").write_text("".join(f"{word.format(prefix)}\0" for word in words), encoding="utf-8")
+    assert installed_program(7, str(tmp_path / "proc")) == found
+    assert installed_program(8, str(tmp_path / "proc")) is None
 
 
 def test_the_first_prefix_with_the_package_counts(tmp_path: Path) -> None:

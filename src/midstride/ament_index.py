@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import shlex
 from collections.abc import Mapping
 
 from midstride.errors import StartFailed
@@ -34,6 +36,26 @@ def executable(package: str, name: str, environment: Mapping[str, str]) -> str:
         return path
     help = did_you_mean(name, _executables(folder))
     raise StartFailed(f"package {package} has no executable {name} in {folder}" + (f"; {help}" if help else ""))
+
+
+def installed_program(pid: int, proc: str = "/proc") -> tuple[str, str] | None:
+    """The executable, with its arguments before those of ROS, and its package, that the process ``pid`` was started as.
+
+    None where that is no `PREFIX/lib/PACKAGE/NAME`, nor a script there, of an installed package.
+    """
+    try:
+        with open(os.path.join(proc, str(pid), "cmdline"), "rb") as file:
+            words = file.read().decode(errors="replace").split("\0")[:-1]
+    except OSError:
+        return None
+    for number, word in enumerate(words[:2]):  # the second is the script of an interpreter
+        folder, name = os.path.split(word)
+        above, package = os.path.split(folder)
+        indexed = os.path.join(os.path.dirname(above), INDEX, package)
+        if os.path.basename(above) == "lib" and os.path.isabs(word) and os.path.isfile(indexed):
+            own = itertools.takewhile(lambda each: each != "--ros-args", words[number + 1 :])
+            return shlex.join([name, *own]), package
+    return None
 
 
 def component_library(package: str, plugin: str, environment: Mapping[str, str]) -> str:

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from midstride.capture.graph_draft import draft
 from midstride.capture.insertion import insert
 from midstride.capture.observed import ObservedGraph
 from midstride.capture.rates import measured
 from midstride.launch_files.launch_import import import_launch_file
 from midstride.model.contract import QoS
 from tests.capture.test_capture import checked, of, ports
+from tests.test_ament_index import planted as planted_program
 
 RATES = {f"/robot{number % 3}/sensor{number}": 2.0 + number for number in range(10)}
 
@@ -70,3 +72,46 @@ def test_a_planted_system_is_captured_exactly(tmp_path: Path, planted: None) -> 
             assert rate is not None
             print(endpoint.node, RATES[endpoint.node], rate)
             assert 0.5 * RATES[endpoint.node] < rate.mean < 1.2 * RATES[endpoint.node]
+
+
+# Two nodes in a process, of which one has the service by which a container loads nodes.
+CONTAINER = f"""#!{sys.executable}
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+rclpy.init()
+box, talker = rclpy.create_node("box"), rclpy.create_node("talker", use_global_arguments=False)
+box.create_service(Trigger, "~/_container/load_node", lambda _, response: response)
+publisher = talker.create_publisher(String, "chatter", 10)
+talker.create_timer(0.1, lambda: publisher.publish(String(data="x")))
+executor = SingleThreadedExecutor()
+executor.add_node(box)
+executor.add_node(talker)
+executor.spin()
+"""
+
+
+@pytest.mark.ros2
+@pytest.mark.long
+def test_the_program_of_a_container_is_in_the_draft(tmp_path: Path) -> None:
+    from midstride.backends.ros2.manager.observer import observe
+    from midstride.backends.ros2.middleware import of_this_process
+
+    program = Path(planted_program(tmp_path, "own_containers", "own_container")) / "lib/own_containers/own_container"
+    program.write_text(CONTAINER, encoding="utf-8")
+    command = [str(program), "--ros-args", "-r", "__ns:=/front"]
+    with subprocess.Popen(command) as process:
+        try:
+            graph = observe(60.0, ["/talker"], lambda graph: {"/talker", "/front/box"} <= {*graph.processes})
+            for _ in range(20):
+                if graph.containers:
+                    break
+                graph = observe(1.0, ["/talker"])
+        finally:
+            process.kill()
+    known = {"/front/box": ("own_container", "own_containers")} if of_this_process().fast_dds else {}
+    assert (graph.containers, graph.programs) == ({"/front/box"}, known)
+    stated = ' { run "own_container" package "own_containers" }' if known else ""
+    assert f"container /front/box{stated}\n" in draft("robot", graph)

@@ -44,6 +44,18 @@ def test_nodes_of_one_process_are_known() -> None:
     assert observed_processes(graph.renamed({"/rectify": "/a"}))[0].nodes == ("/a", "/front/camera")
 
 
+def test_the_program_of_a_container_is_stated_where_its_process_shows_it() -> None:
+    graph = robot()
+    graph.programs["/box"] = "component_container_isolated --use_multi_threaded_executor", "rclcpp_components"
+    text = draft("robot", graph)
+    (container,) = load_text(text).require().containers.values()
+    assert (container.run, container.package) == graph.programs["/box"]
+    assert "write `in /box` after their components.\n" in text
+    graph.programs["/box"] = 'odd "name"', "rclcpp_components"
+    assert "Its program is not in the graph" in draft("robot", graph)
+    assert graph.renamed({"/box": "/other"}).programs == {"/other": ('odd "name"', "rclcpp_components")}
+
+
 def test_what_a_file_does_not_have_together_is_named() -> None:
     graph = robot()
 

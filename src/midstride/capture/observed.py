@@ -53,7 +53,8 @@ class ObservedGraph:
     ``subscribed``: the topics that were subscribed to; ``counted``: by node and topic, when outputs were written (s, of
     one clock) whose messages the library in their process counts.
     ``processes``: by node, its process, as far as the middleware tells; ``containers``: the nodes of component
-    containers. ``lifecycle``: the lifecycle nodes; ``managers``: by node that changes the lifecycle state of others,
+    containers; ``programs``: by container, its executable and the package of that, where its process shows them.
+    ``lifecycle``: the lifecycle nodes; ``managers``: by node that changes the lifecycle state of others,
     these.
     """
 
@@ -68,6 +69,7 @@ class ObservedGraph:
     managers: dict[str, set[str]] = field(default_factory=dict)
     processes: dict[str, str] = field(default_factory=dict)
     containers: set[str] = field(default_factory=set)
+    programs: dict[str, tuple[str, str]] = field(default_factory=dict)
     # By node and service or ROS action, how long each response took (s), where the library in its process shows that.
     took: dict[tuple[str, str], list[float]] = field(default_factory=dict)
     _times: dict[tuple[str, str], list[float]] = field(default_factory=dict)
@@ -125,6 +127,7 @@ class ObservedGraph:
             lifecycle={*map(name_of, self.lifecycle)},
             processes={name_of(node): process for node, process in self.processes.items()},
             containers={*map(name_of, self.containers)},
+            programs={name_of(node): program for node, program in self.programs.items()},
             managers={name_of(node): {*map(name_of, managed)} for node, managed in self.managers.items()},
             took={(name_of(node), name): took for (node, name), took in self.took.items()},
         )

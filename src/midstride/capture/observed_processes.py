@@ -42,15 +42,24 @@ def observed_processes(graph: ObservedGraph) -> list[ObservedProcess]:
 def container_lines(graph: ObservedGraph) -> Iterator[str]:
     """The statements of a draft: the containers, and what is still to be stated of their nodes.
 
-    Which class a node is, is not in the graph, so that nothing could load it yet.
+    Which class a node is, is not in the graph, so that nothing could load it yet: `in` is only for nodes with a class.
     """
     for process in observed_processes(graph):
         if process.container is None:
             yield f"# {process.words}: one program, which `run` starts, has them all."
             continue
         yield f'# {process.words}: state their classes (`run component "…" package "…" gate preload`),'
-        yield f"# and write `in {process.container}` after their components. Its program is not in the graph, either."
-        yield f"container {process.container}"
+        run, unknown = _run_of(graph, process.container), " Its program is not in the graph, either."
+        yield f"# and write `in {process.container}` after their components.{'' if run else unknown}"
+        yield f"container {process.container}{run}"
+
+
+def _run_of(graph: ObservedGraph, container: str) -> str:
+    """The block that states the program of a container; empty where it is not known, or cannot be written as it is."""
+    program, package = graph.programs.get(container, ("", ""))
+    if not program or not program.isprintable() or set(program + package) & {'"', "\\"}:
+        return ""
+    return f' {{ run "{program}" package "{package}" }}'
 
 
 def not_stated(graph: ObservedGraph, specification: Specification) -> list[ObservedProcess]:

@@ -13,12 +13,15 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from midstride.ament_index import installed_program
 from midstride.backends.common_messages import message_class
 from midstride.backends.ros2 import middleware
 from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, seconds_of
 from midstride.backends.ros2.manager.named_servers import named_servers
+from midstride.backends.ros2.manager.node_owner import pids_of
 from midstride.backends.ros2.manager.seen_writes import EVERY as LOOK
 from midstride.backends.ros2.manager.seen_writes import SeenWrites
+from midstride.backends.ros2.middleware import NodeProcess
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.errors import NodeError
 from midstride.model.contract import DEFAULT_QOS
@@ -37,6 +40,8 @@ _CHANGE_STATE: Final = "change_state"
 _CHANGES_STATE: Final = "lifecycle_msgs/srv/ChangeState"
 _LOAD_NODE: Final = "_container/load_node"
 _NODE: Final = "_midstride_capture"
+# What each node of rclcpp and rclpy publishes.
+_EVERY_NODE: Final = "/parameter_events"
 
 
 def observe(
@@ -78,6 +83,7 @@ def observe(
         _look(node, graph, writes)
         graph.seconds = time.monotonic() - start
         _note_counted(graph, writes)
+        _note_programs(node, graph)
         _find_lazy(node, graph, writes)
         return graph
     finally:
@@ -139,6 +145,20 @@ def _look_at_processes(graph: ObservedGraph, infos: Iterable[Any]) -> None:
     for info in infos:
         if not info.node_name.startswith("_") and (process := rmw.node_process(info)) is not None:
             graph.processes[full_name(info.node_name, info.node_namespace)] = process.key.hex()
+
+
+def _note_programs(node: Any, graph: ObservedGraph) -> None:
+    """Note which program each container of this computer is, as far as the middleware names its process."""
+    rmw, shown = middleware.of_this_process(), dict[str, NodeProcess]()
+    for info in node.get_publishers_info_by_topic(_EVERY_NODE):
+        if (process := rmw.node_process(info)) is not None:
+            shown[full_name(info.node_name, info.node_namespace)] = process
+    own = shown.get(full_name(_NODE))
+    here = None if own is None else own.host
+    for container in graph.containers & {*shown}:
+        found = {installed_program(pid) for pid in pids_of(shown[container], here)}
+        if len(found) == 1 and (program := found.pop()) is not None:
+            graph.programs[container] = program
 
 
 def _note_counted(graph: ObservedGraph, writes: SeenWrites | None) -> None:
