@@ -90,6 +90,10 @@ class BackendError(MidstrideError):
     """The platform below (ROS, the simulator, the operating system) failed."""
 
 
+class EndUnknown(BackendError):
+    """A component was asked to end, and has not said whether it does: it may end at any time."""
+
+
 class StartFailed(BackendError):
     """A component did not start, did not register in time, or is not what was declared."""
 

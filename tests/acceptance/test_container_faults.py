@@ -171,6 +171,28 @@ def test_one_whose_constructor_hangs_is_never_there_twice(stand_in: StandIn, tmp
         run(main())
 
 
+def test_one_whose_destructor_hangs_has_ended_once_it_returns(stand_in: StandIn, tmp_path: Path) -> None:
+    """Its replacement goes on. The container has one thread, so the others stand still until then."""
+
+    async def main() -> None:
+        async with robot(system(tmp_path), tmp_path, topic="/front/chat") as made:
+            before = await run_on(made, ALL)
+            faults(tmp_path, f"/{TALKER} linger")
+            failed = await made.change("Later", role=TALKER)
+            assert failed.outcome == "failed"
+            unknown = f"{TALKER} may still end in front/pipeline, which has not answered"
+            assert unknown in str(failed.because) and "; what has been done stays" in str(failed.because)
+            await made.hears()  # only the new one can write
+            assert any(each.startswith(unknown) for each in (await made.manager.status()).condition.faults)
+            faults(tmp_path)
+            await made.until(lambda: TALKER not in made.manager.configuration.instances)
+            after = await run_on(made, ALL)
+            assert after["front/other"] == after["front/maker"] == before["front/other"] != after[TALKER]
+
+    with ended():
+        run(main())
+
+
 POINTS = [
     ("up", 1.0),
     ("up", 2.0),

@@ -19,7 +19,7 @@ from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.backends.ros2.manager.own_names import StartName
 from midstride.backends.ros2.manager.shared_processes import SharedProcess, SharedProcesses
 from midstride.codec.component_form import NamedComponentForm
-from midstride.errors import BackendError, StartFailed
+from midstride.errors import BackendError, EndUnknown, StartFailed
 from midstride.foreign.page import GATES_FOLDER
 from midstride.foreign.preloading import StartedPrograms
 from midstride.foreign.record import ForeignRecord
@@ -382,9 +382,7 @@ def test_an_unload_that_is_not_answered_may_still_be_carried_out(made: Made, aga
         await made.until(lambda: made.world.nodes == ["/a", "/b"])
         made.world.mute = True
         made.world.unloading.clear()
-        with pytest.raises(
-            BackendError, match=r"b may still end in box, .* until then it is not known: unload_node has"
-        ):
+        with pytest.raises(EndUnknown, match=r"b may still end in box, .* until then it is not known: unload_node has"):
             await made.backend.end("b", DEFAULT_STOP)
         assert (made.world.left, made.shared.members) == (["/b"], {"a", "b"})
         [said] = made.backend.hanging()

@@ -2,7 +2,8 @@
  * and begins to count after the parameter `first`; `demo::Maker` does so as well, and has made a node `/made/inner`;
  * `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled.
  * The file STAND_IN_FAULTS in its environment has lines `NODE FAULT`: with `abort`, a node of that full name ends the process
- * as it is made; with `hang`, its constructor does not return as long as that line is there. */
+ * as it is made; with `hang`, its constructor does not return as long as that line is there; nor does its destructor with
+ * `linger`. */
 #include "composable.h"
 
 #include <rosidl_runtime_c/string_functions.h>
@@ -43,9 +44,16 @@ static void talk(struct composable *self)
   require(rcl_publish(&talker->publisher, &talker->message, NULL), "publish");
 }
 
+static void wait_while(const struct composable *self, const char *fault)
+{
+  for (struct timespec moment = {0, 10000000}; has_fault(self, fault);)
+    nanosleep(&moment, NULL);
+}
+
 static void stop(struct composable *self)
 {
   struct talker *talker = self->state;
+  wait_while(self, "linger");
   require(rcl_publisher_fini(&talker->publisher, &self->node), "publisher");
   std_msgs__msg__String__fini(&talker->message);
   if (rcl_node_is_valid(&talker->inner))
@@ -60,8 +68,7 @@ const char *create(struct composable *self, const char *plugin, double (*number_
     return "Component constructor threw an exception: no device";
   if (strcmp(plugin, "demo::Crashing") == 0 || has_fault(self, "abort"))
     abort();
-  for (struct timespec moment = {0, 10000000}; has_fault(self, "hang");)
-    nanosleep(&moment, NULL);
+  wait_while(self, "hang");
   struct talker *talker = calloc(1, sizeof *talker);
   rcl_publisher_options_t options = rcl_publisher_get_default_options();
   options.qos.depth = 1000; /* a listener may be late */

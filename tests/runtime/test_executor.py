@@ -12,7 +12,7 @@ import pytest
 from immutables import Map
 
 from midstride.backends.simulator.virtual_clock import PROCESSORS, SimulatedClock
-from midstride.errors import BackendError, StartFailed, StepFailed
+from midstride.errors import BackendError, EndUnknown, StartFailed, StepFailed
 from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
 from midstride.model.component import KILL_AT_ONCE, ParameterSpec
 from midstride.model.configuration import Configuration
@@ -114,6 +114,20 @@ def test_what_was_done_before_a_failure_is_undone_last_first(tmp_path: Path) -> 
         assert b.change.outcome == "rolled_back" and b.change.because == str(failed.value)
 
     bench(configuration, tmp_path, body)
+
+
+def test_nothing_returns_to_an_instance_that_may_end_at_any_time(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.fail_end["talker"] = EndUnknown("it may still end")
+        with pytest.raises(StepFailed) as failed:
+            await b.carry_out([DEGRADE, DETACH, Remove("talker")])
+        assert failed.value.outcome == b.change.outcome == "failed"
+        stays = "what has been done stays, as nothing can return to an instance that may end at any time"
+        assert str(failed.value) == f"remove talker: it may still end; {stays}"
+        assert b.client.changes == [("listener", "modes"), ("talker", "detach")]
+        assert b.system.configuration == DETACH.effect(DEGRADE.effect(talking()))
+
+    bench(talking(), tmp_path, body)
 
 
 def test_a_roll_back_that_fails_is_in_the_reason_and_goes_on(tmp_path: Path) -> None:

@@ -15,7 +15,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from midstride.errors import BackendError, MidstrideError, StartFailed, StepFailed, Superseded, internal_error
+from midstride.errors import (
+    BackendError,
+    EndUnknown,
+    MidstrideError,
+    StartFailed,
+    StepFailed,
+    Superseded,
+    internal_error,
+)
 from midstride.model import wording
 from midstride.model.action import Action, Create, Handover, Remove, SetParameters
 from midstride.model.configuration import Configuration
@@ -354,8 +362,11 @@ class Executor:
         self.change.happened(ChangeEvent.STEP_FAILED, because)
         await self._starts.stop()
         begun = min([indices[0], *self._order.late])
-        problems = [*await self._abandon(self.change.actions[begun:]), *await self._roll_back(self._done)]
-        if problems:
+        problems = await self._abandon(self.change.actions[begun:])
+        if any(isinstance(each, EndUnknown) for each in errors):
+            problems.append("what has been done stays, as nothing can return to an instance that may end at any time")
+            because += f"; {'; '.join(problems)}"
+        elif problems := [*problems, *await self._roll_back(self._done)]:
             because += f"; and the roll-back failed: {'; '.join(problems)}"
         self.change.happened(ChangeEvent.NOT_UNDONE if problems else ChangeEvent.UNDONE, because)
         if isinstance(error, asyncio.CancelledError) and not problems:

@@ -33,7 +33,7 @@ from midstride.backends.ros2.manager.node_owner import node_owner
 from midstride.backends.ros2.manager.own_names import StartName
 from midstride.backends.ros2.manager.shared_processes import KnownNames, SharedProcess, SharedProcesses
 from midstride.backends.ros2.manager.start_arguments import StartArguments
-from midstride.errors import BackendError, NodeError, StartFailed
+from midstride.errors import BackendError, EndUnknown, NodeError, StartFailed
 from midstride.foreign.preloading import StartedPrograms
 from midstride.foreign.record import ForeignRecord
 from midstride.model import wording
@@ -329,7 +329,7 @@ class ContainerBackend(ProcessBackend):
         return []
 
     async def _unload(self, shared: SharedProcess, instance: str, longest: float) -> None:
-        """End one of several instances of a process, which goes on. Raises BackendError where that is not possible."""
+        """End one instance of a process that goes on. Raises BackendError: it goes on, too; EndUnknown: it may."""
         record = self._foreign_nodes.record_of(instance)  # also of one that nothing answers for yet
         node = full_name(instance) if record is None else record.node
         shared.members.discard(instance)
@@ -356,7 +356,7 @@ class ContainerBackend(ProcessBackend):
                 shared.members.add(instance)
                 if isinstance(error, UnloadUnanswered):
                     self._await_unloaded(shared, instance, node)
-                    raise BackendError(shared.why_unknown(instance, str(error))) from None
+                    raise EndUnknown(shared.why_unknown(instance, str(error))) from None
                 await self._foreign_nodes.leaves(record, now=False)
                 raise BackendError(
                     f"{instance} goes on in {shared.name}: {error}. It can only end with its container, by "
