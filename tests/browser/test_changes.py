@@ -266,6 +266,35 @@ def test_a_node_is_added_by_the_request_of_the_command_beside_it(own_talker: Sys
     assert change["by"] == "dashboard: add second (Listener)"
 
 
+def test_a_replacement_may_stay_in_the_process_of_its_container(talker: System, opened: Opened) -> None:
+    """The page is told that the listener is in a container; the manager knows of none, and refuses it."""
+
+    def told(route: Route) -> None:
+        answer = route.fetch()
+        document = answer.json()
+        document["containers"] = {"pipeline": {"run": "component_container", "package": "rclcpp_components"}}
+        document["nodes"]["listener"]["container"] = "pipeline"
+        route.fulfill(response=answer, json=document)
+
+    page = opened(talker)
+    option = page.get_by_label("same process")
+    choose(page, "talker", "NewTalker")
+    expect(option).to_be_hidden()
+    page.route("**/api/v1/specification", told)
+    page.reload()
+    page.get_by_label("What to do").select_option("restart")
+    page.get_by_label("Node", exact=True).select_option("listener")
+    option.check()
+    assert commands(page)[0] == "midstride plan --restart listener --same-process --explain"
+    asked = sent(page, "/plan", "Plan")
+    assert (asked["restart"], asked["same_process"]) == (["listener"], True)
+    refused = "no node of a container is replaced, so none can stay in its process"
+    expect(page.locator("#change .refusal")).to_contain_text(refused)
+    page.get_by_label("Node", exact=True).select_option("talker")
+    expect(option).to_be_hidden()
+    assert commands(page)[0] == "midstride plan --restart talker --explain"
+
+
 def test_a_version_is_chosen_to_go_back_to(own_talker: System, opened: Opened) -> None:
     for component in ("NewTalker", "Talker", "NewTalker"):
         assert own_talker.midstride("replace", "talker", component, "--yes").status == 0

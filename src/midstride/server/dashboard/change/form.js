@@ -6,7 +6,7 @@
 
 import { h, replace, valueText } from "../dom.js";
 import { NewNodeFields } from "./newnode.js";
-import { STRATEGIES, keepsParameters, replacements } from "./request.js";
+import { STRATEGIES, keepsParameters, mayKeepProcess, replacements } from "./request.js";
 
 const KINDS = /** @type {[string, string][]} */ ([
   ["replace", "Replace"],
@@ -45,6 +45,7 @@ export class Form {
     this.detours = check("detours", "detours", "Also try to move nodes that stay, and stand-ins: --detours");
     this.declared = check("declared", "declared parameters", "Start with the declared values of parameters: --declared-parameters");
     this.others = check("others", "other nodes", "Also where other nodes end with a process that the change ends: --with-other-nodes");
+    this.same = check("same", "same process", "In the process of its container that it is in, with the code that is loaded there: --same-process");
     this.verify = check("verify", "verify", "Verify the plan with Alloy before it starts, and the system after each step: --verify");
     this.with = h("span", {});
     this.added = new NewNodeFields(onChoice);
@@ -71,7 +72,7 @@ export class Form {
       this.applying,
       this.strategyWord,
       this.strategy,
-      h("div", { class: "change-options wide" }, this.detours.label, this.declared.label, this.others.label, this.verify.label),
+      h("div", { class: "change-options wide" }, this.detours.label, this.declared.label, this.others.label, this.same.label, this.verify.label),
     );
     this.file = /** @type {HTMLInputElement} */ (h("input", { class: "visually-hidden", type: "file", accept: ".stride" }));
     this.drop = h("p", { class: "drop" }, "or drop an edited .stride file on the page, or ", h("label", {}, this.file, h("span", {}, "choose one")));
@@ -118,10 +119,14 @@ export class Form {
     this.declared.box.checked = choice.declared;
     this.declared.box.disabled = !keepsParameters(choice);
     this.others.box.checked = choice.others;
+    const inContainer = mayKeepProcess(specification, { ...choice, node });
+    show(inContainer, this.same.label);
+    this.same.box.checked = choice.same && inContainer;
     this.verify.box.checked = choice.verify;
     const fields = adding ? this.added.offer(specification, component) : {};
     const others = { replace: { component }, add: { component, ...fields }, rollback: { version }, param: { parameter: parameter?.name ?? "" } };
-    this.settled = kind === "apply" ? {} : { node, component: "", .../** @type {any} */ (others)[kind] };
+    const same = choice.same && inContainer;
+    this.settled = kind === "apply" ? { same } : { node, component: "", same, .../** @type {any} */ (others)[kind] };
   }
 }
 

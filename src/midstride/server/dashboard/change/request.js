@@ -11,7 +11,8 @@
  * @typedef {"replace" | "restart" | "add" | "remove" | "rollback" | "param" | "apply"} Kind
  * @typedef {{kind: Kind, node: string, component: string, role: string, topics: Record<string, string>,
  *   values: Record<string, string>, version: number | null, parameter: string, value: string, to: Api.SpecificationForm | null,
- *   file: string | null, strategy: string, detours: boolean, declared: boolean, others: boolean, verify: boolean}} Choice
+ *   file: string | null, strategy: string, detours: boolean, declared: boolean, others: boolean, same: boolean,
+ *   verify: boolean}} Choice
  */
 
 import { valueText } from "../dom.js";
@@ -35,6 +36,7 @@ export const NOTHING = {
   detours: false,
   declared: false,
   others: false,
+  same: false,
   verify: false,
 };
 
@@ -63,6 +65,16 @@ export function keepsParameters(choice) {
   return !["add", "remove", "param"].includes(choice.kind);
 }
 
+/**
+ * @param {Api.SpecificationForm | null} specification
+ * @param {Choice} choice
+ * @returns {boolean} whether a node that is replaced is in a container, so that it may start in the process that it is in
+ */
+export function mayKeepProcess(specification, choice) {
+  if (choice.kind === "apply") return Object.keys(specification?.containers ?? {}).length > 0;
+  return ["replace", "restart"].includes(choice.kind) && specification?.nodes?.[choice.node]?.container !== undefined;
+}
+
 /** @param {Choice} choice @returns {Record<string, unknown>} the document of POST /plan, and `request` of POST /change */
 export function request(choice) {
   /** @type {Record<string, unknown>} */
@@ -70,6 +82,7 @@ export function request(choice) {
   if (choice.detours && choice.strategy === "minimal") document.detours = true;
   if (choice.declared && keepsParameters(choice)) document.declared_parameters = true;
   if (choice.others) document.with_other_nodes = true;
+  if (choice.same) document.same_process = true;
   if (choice.kind === "replace") document.replace = [[choice.node, choice.component]];
   else if (choice.kind === "add") document.add = [newNode(choice)];
   else if (choice.kind === "apply" || choice.kind === "rollback") document.to = choice.to;
@@ -145,6 +158,7 @@ function options(choice) {
   if (choice.detours && choice.strategy === "minimal") found.push("--detours");
   if (choice.declared && keepsParameters(choice)) found.push("--declared-parameters");
   if (choice.others) found.push("--with-other-nodes");
+  if (choice.same) found.push("--same-process");
   return found;
 }
 
@@ -175,7 +189,7 @@ export function planCommand(choice, more = []) {
 
 /** @param {Choice} choice @param {string} file @param {number} seeds @returns {string} the command that rehearses it */
 export function rehearsalCommand(choice, file, seeds) {
-  const plan = planCommand({ ...choice, others: false }).split(" ").slice(2).join(" ");
+  const plan = planCommand({ ...choice, others: false, same: false }).split(" ").slice(2).join(" ");
   return `midstride simulate ${quoted(file)} ${plan} --seeds ${seeds}`;
 }
 
