@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 import pytest
 
+from midstride.backends.simulator import Simulator
 from midstride.errors import BackendError
 from midstride.runtime.timeouts import within
+from midstride.simulation.killable_manager import Life
 from midstride.simulation.loop import SeededLoop, run
 
 
@@ -87,3 +91,92 @@ def test_an_error_that_nothing_catches_is_kept() -> None:
 
     run(loop, main())
     assert isinstance(loop.errors[0]["exception"], ZeroDivisionError)
+
+
+def test_what_is_left_is_cancelled_in_the_same_order_again() -> None:
+    async def waits(number: int, ended: list[int]) -> None:
+        try:
+            await asyncio.get_running_loop().create_future()
+        finally:
+            ended.append(number)
+
+    def order_at_the_end(kept: int) -> list[int]:
+        ended: list[int] = []
+        tasks = []
+        memory = []  # which moves what is made after it to other addresses
+
+        async def main() -> None:
+            for number in range(40):
+                memory.append(bytearray(100 * kept * (number % 3)))
+                tasks.append(asyncio.ensure_future(waits(number, ended)))
+            await asyncio.sleep(1.0)
+
+        run(SeededLoop(8), main())  # type: ignore[abstract]
+        return ended
+
+    assert len({str(order_at_the_end(kept)) for kept in range(10)}) == 1
+
+
+def test_what_does_not_end_when_it_is_cancelled_is_named() -> None:
+    async def never() -> None:
+        await asyncio.get_running_loop().create_future()
+
+    async def waits_again() -> None:
+        try:
+            await never()
+        finally:
+            await never()
+
+    async def begins_another() -> None:
+        try:
+            await never()
+        finally:
+            kept.append(asyncio.ensure_future(begins_another()))
+
+    async def begins_one() -> None:
+        try:
+            await never()
+        finally:
+            kept.append(asyncio.ensure_future(never()))
+
+    kept: list[asyncio.Task[None]] = []
+
+    async def main(left: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        kept.append(asyncio.ensure_future(left()))
+        await asyncio.sleep(1.0)
+
+    with pytest.raises(BackendError, match=r"^deadlock at 1\.0.* did not end: .*waits_again in .*never$"):
+        run(SeededLoop(9), main(waits_again))  # type: ignore[abstract]
+    with pytest.raises(BackendError, match=r"^livelock at 1\.0.* did not end: .*begins_another$"):
+        run(SeededLoop(9), main(begins_another))  # type: ignore[abstract]
+    kept.clear()
+    run(SeededLoop(9), main(begins_one))  # type: ignore[abstract]
+    assert [task.cancelled() for task in kept] == [True, True]
+
+
+@pytest.mark.parametrize("waits_before", [False, True])
+def test_what_a_killed_manager_left_under_way_ends_with_the_simulation(waits_before: bool) -> None:
+    """Also where it comes to wait after the burial, to clean up after itself."""
+    simulator = Simulator()
+    life = Life(simulator)
+    ended: list[str] = []
+
+    async def under_way() -> None:
+        try:
+            await life.backend.clock.sleep(5.0)
+        finally:
+            try:
+                await life.backend.clock.sleep(5.0)
+            finally:
+                ended.append("under way")
+
+    async def main() -> None:
+        tasks.append(asyncio.ensure_future(under_way()))
+        await asyncio.sleep(1.0)
+        life.kill()
+        await asyncio.sleep(10.0 if waits_before else 0.0)
+        life.bury()
+
+    tasks: list[asyncio.Task[None]] = []
+    run(SeededLoop(10), main())  # type: ignore[abstract]
+    assert ended == ["under way"]

@@ -30,8 +30,9 @@ class Life:
         self.alive = True
         self.backend: Any = _Backend(self, simulator)
         self._connections: list[Connection] = []
-        self._under_way: set[asyncio.Future[Any]] = set()
-        self._over: asyncio.Future[None] | None = None
+        self._under_way: dict[asyncio.Future[Any], None] = {}  # in order: that of a set differs from run to run
+        self._over: asyncio.Future[None] | None = None  # once something waits for the end of the simulation
+        self._buried = False
         # While it is cut off: done once it reaches the outside again.
         self.cut_off: asyncio.Future[None] | None = None
         # What is called with each command that would change something, and with each process that it starts or ends.
@@ -54,31 +55,37 @@ class Life:
             self.cut_off.set_result(None)
 
     def bury(self) -> None:
-        """The simulation ends: what still waits may end."""
+        """The simulation ends: what still waits may end, and what comes to wait from now on."""
         self.alive = False
+        self._buried = True
         self.reconnect()
         if self._over is not None and not self._over.done():
             self._over.set_result(None)
 
     async def breath(self) -> None:
-        """Returns while it lives and is not cut off, and never again once it has been killed."""
+        """Returns while it lives and is not cut off, and never again once it has been killed.
+
+        Raises Unreachable once it is buried. What ends then may still come here, in `finally`: it must not wait again,
+        since nothing would end that.
+        """
         while self.cut_off is not None and not self.cut_off.done():
             await asyncio.shield(self.cut_off)
         if not self.alive:
-            if self._over is None:
-                self._over = asyncio.get_running_loop().create_future()
-            await asyncio.shield(self._over)
+            if not self._buried:
+                if self._over is None:
+                    self._over = asyncio.get_running_loop().create_future()
+                await asyncio.shield(self._over)
             raise Unreachable("the manager has been killed")
 
     async def call(self, function: Callable[..., Awaitable[Any]], *args: Any) -> Any:
         """Call ``function``, and return its result if the manager still lives then."""
         await self.breath()
         task = asyncio.ensure_future(function(*args))
-        self._under_way.add(task)
+        self._under_way[task] = None
         try:
             return await task
         finally:
-            self._under_way.discard(task)
+            del self._under_way[task]
             await self.breath()
 
 

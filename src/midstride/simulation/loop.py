@@ -11,6 +11,7 @@ import asyncio
 import contextvars
 import gc
 import heapq
+import inspect
 import random
 from collections.abc import Callable, Coroutine
 from typing import Any, Final, Protocol, TypeVar
@@ -21,6 +22,8 @@ T = TypeVar("T")
 
 # How many callbacks may run at one moment of virtual time: more than that is a loop that waits for nothing.
 MOST_AT_ONCE: Final = 200_000
+# How often what is left at the end is cancelled, and what that has begun meanwhile.
+MOST_ROUNDS: Final = 100
 
 
 class _Callback:
@@ -140,17 +143,34 @@ class SeededLoop(asyncio.AbstractEventLoop):
         return done.result()
 
     def end(self) -> None:
-        """Cancel what is left, and close."""
+        """Cancel what is left, also what that begins meanwhile, and close.
+
+        Raises BackendError, with what does not end, where that waits or goes on for ever.
+        """
+        left: list[asyncio.Task[Any]] = []
         try:
-            asyncio._set_running_loop(self)
-            tasks = asyncio.all_tasks(self)
-            for task in tasks:
-                task.cancel()
-            asyncio._set_running_loop(None)
-            if tasks:
-                self.run_until_complete(asyncio.gather(*tasks, return_exceptions=True))
+            for _ in range(MOST_ROUNDS):
+                if not (left := self._tasks()):
+                    break
+                asyncio._set_running_loop(self)
+                for task in left:
+                    task.cancel()
+                asyncio._set_running_loop(None)
+                self.run_until_complete(asyncio.gather(*left, return_exceptions=True))
+            else:
+                raise BackendError(f"livelock at {self._now:.6f} s: what is cancelled begins something new for ever")
+        except BackendError as error:
+            words = ", ".join(sorted({_words_on(task) for task in left if not task.done()} or map(_words_on, left)))
+            raise BackendError(f"{error}; these were cancelled, and did not end: {words}") from None
         finally:
             self.close()
+
+    def _tasks(self) -> list[asyncio.Task[Any]]:
+        """The tasks that have not ended, in the order in which they were made, which their names count.
+
+        That of asyncio's set differs from run to run.
+        """
+        return sorted(asyncio.all_tasks(self), key=lambda task: (len(task.get_name()), task.get_name()))
 
     # -- running -----------------------------------------------------------------------------------
 
@@ -192,6 +212,15 @@ class SeededLoop(asyncio.AbstractEventLoop):
         self._now = max(self._now, timers[0][0])
         while timers and timers[0][0] <= self._now:
             self._ready.append(heapq.heappop(timers)[3])
+
+
+def _words_on(task: asyncio.Task[Any]) -> str:
+    """The coroutine of a task, and the one in which it waits."""
+    outer = inner = task.get_coro()
+    while inspect.iscoroutine(within := getattr(inner, "cr_await", None)):
+        inner = within
+    names = [getattr(each, "__qualname__", repr(each)) for each in (outer, inner)]
+    return names[0] if outer is inner else f"{names[0]} in {names[1]}"
 
 
 def run(loop: SeededLoop, main: Coroutine[Any, Any, T]) -> T:
