@@ -298,6 +298,9 @@ class Counting:
         self.life = LifeTable(SystemClock())
         self.wanted: list[int] = []
 
+    async def publisher_ids(self, topic: str, instance: str) -> None:
+        return None
+
     async def read(self, instance: str, command: AwaitMatchCommand) -> Attached:
         self.wanted.append(command.peers)
         return Attached(matched=self.matched)
@@ -327,9 +330,10 @@ node listener : Listener { in <- /chat }
 
     async def scenario() -> None:
         client: Any = Counting(matched)
+        backend: Any = client
         before = await publishers_found(client, configuration, "/chat", early=1)
         assert client.wanted == [0]
-        await require_found(client, configuration, [Swap("/chat", old, new)], "/chat", before)
+        await require_found(client, backend, configuration, [Swap("/chat", old, new)], "/chat", before)
         assert client.wanted == [0, 2]
 
     if found:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
-from midstride.backends.simulator.network import SimulatedWriter
+from midstride.backends.simulator.network import SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.errors import CommandRefused
 from midstride.wire.pipe import PipeClaim
@@ -93,6 +93,39 @@ def test_as_many_readers_as_before_are_not_the_same_readers(tmp_path: Path, monk
         assert attached["matched"] == 0  # one of the two is missing
         with pytest.raises(CommandRefused, match="only 1 of 2 endpoints"):
             await lab.read("node", "await_readers", **{**request, "peers": 2, "timeout": 0.5}, patience=0.5)
+
+    in_lab(tmp_path, main)
+
+
+def test_a_publisher_is_found_by_its_identity(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Others that are counted, and leave meanwhile, make no difference."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await lab.start("sink", puppets.sink())
+        await lab.attach("sink", "in", TOPIC)
+        for name in ("dead", "new"):
+            await lab.start(name, puppets.talker())
+            await lab.attach(name, "out", TOPIC, peers=1, gate="closed")
+        new, dead = [each for name in ("new", "dead") for each in await simulator.publisher_ids(TOPIC, name)]
+        assert await simulator.publisher_ids(TOPIC, "sink") == frozenset()
+        request = {"port": "in", "topic": TOPIC, "peers": 3, "timeout": 0.5}
+        begun = lab.backend.clock.steady()
+        found = await lab.read("sink", "await_match", **request, publisher_ids=[new, dead])
+        assert (found["matched"], found["missing"]) == (2, [])
+        simulator.faults.kill("dead")
+        found = await lab.read("sink", "await_match", **request, publisher_ids=[new])
+        assert (found["matched"], found["missing"]) == (1, [])
+        assert lab.backend.clock.steady() - begun < 0.1
+        found = await lab.read("sink", "await_match", **request, publisher_ids=[new, dead])
+        assert (found["matched"], found["missing"]) == (1, [dead])
+        assert lab.backend.clock.steady() - begun >= 0.5
+
+        def untold(self: SimulatedReader) -> None:
+            return None
+
+        plant(monkeypatch, SimulatedReader, "publisher_ids", untold)
+        found = await lab.read("sink", "await_match", **request, publisher_ids=[new])
+        assert (found["matched"], found["missing"]) == (1, None)
 
     in_lab(tmp_path, main)
 

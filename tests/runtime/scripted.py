@@ -322,6 +322,8 @@ class ScriptedBackend:
         self.fail_end: dict[str, Exception] = {}
         self.killed: dict[str, list[RemainingProcess]] = {}  # what of an instance has to be killed
         self.lingering: dict[str, int] = {}
+        # By topic and instance.
+        self.publishers: dict[tuple[str, str], frozenset[str] | None] = {}
         self.instances: dict[str, Instance] = {}  # those that register when they are started
         self._client = client
 
@@ -399,6 +401,9 @@ class ScriptedBackend:
 
     async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         return Endpoints()
+
+    async def publisher_ids(self, topic: str, instance: str) -> frozenset[str] | None:
+        return self.publishers.get((topic, instance))
 
     async def lingering_readers(self, topic: str) -> int:
         return self.lingering.get(topic, 0)

@@ -299,6 +299,50 @@ def test_a_publisher_that_left_is_not_taken_for_the_new_one(tmp_path: Path) -> N
     bench(CONFIGURATION, tmp_path, body)
 
 
+def tells_identities(b: Bench, before: int, missing: list[str]) -> None:
+    """The listener counts ``before`` publishers, and 2 after the new one has been attached; the back end knows that."""
+    b.backend.publishers["/chatter", "talker_2"] = frozenset({"2a"})
+
+    def found(command: AwaitMatchCommand) -> Attached:
+        asked = command.publisher_ids == ["2a"]
+        return Attached(matched=2, missing=missing) if asked else Attached(matched=before)
+
+    b.client.reply("listener", AwaitMatchCommand, found)
+
+
+def test_dead_publishers_that_leave_meanwhile_do_not_stop_the_hand_over(tmp_path: Path) -> None:
+    """Seven that were killed within the lease are counted before the new one is attached, and not after."""
+
+    async def body(b: Bench) -> None:
+        tells_identities(b, before=8, missing=[])
+        assert await swapped(b) == {OUT: None}
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_a_new_publisher_is_missed_by_its_identity_though_the_number_grows(tmp_path: Path) -> None:
+    """Another publisher has joined the topic in this moment."""
+
+    async def body(b: Bench) -> None:
+        tells_identities(b, before=1, missing=["2a"])
+        await fails(b, r"listener\.in has not found talker_2\.out on /chatter within 5 s")
+        assert b.client.of(CutOutCommand) == []
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+@pytest.mark.parametrize("ids", [None, frozenset[str]()])
+def test_without_the_identity_of_the_new_publisher_the_number_decides(
+    ids: frozenset[str] | None, tmp_path: Path
+) -> None:
+    async def body(b: Bench) -> None:
+        tells_identities(b, before=8, missing=[])
+        b.backend.publishers["/chatter", "talker_2"] = ids
+        await fails(b, r"listener\.in has found only 8 of 9 publishers on /chatter within 5 s")
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
 def test_a_subscriber_has_time_to_notice_that_a_publisher_left(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         counted = iter([2, 2, 1, 2])

@@ -66,6 +66,12 @@ class Subscription(Protocol):
     def matched(self) -> int:
         """How many compatible publishers are matched; -1 before the platform knows it. On the control thread."""
 
+    def publisher_ids(self) -> frozenset[str] | None:
+        """The identities of the publishers that its process has discovered on the topic; None where unknown.
+
+        On the control thread.
+        """
+
     def destroy(self) -> None: ...
 
 
@@ -94,6 +100,9 @@ class CalledService(Protocol):
 
     def matched(self) -> int:
         """1 where a server has been discovered, else 0. On either thread."""
+
+    def publisher_ids(self) -> None:
+        """A service has no publishers."""
 
     def destroy(self) -> None: ...
 

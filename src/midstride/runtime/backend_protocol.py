@@ -341,6 +341,13 @@ class Backend(Protocol):
         """
         raise BackendError(f"on {self.name}, the manager cannot listen to topics")
 
+    async def publisher_ids(self, topic: str, instance: str) -> frozenset[str] | None:
+        """The identities of the publishers of a running instance on ``topic``, by which other processes know them too.
+
+        Empty where none is seen yet; None where the middleware does not tell which process has a publisher.
+        """
+        return None
+
     async def lingering_readers(self, topic: str) -> int:
         """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""
         return 0

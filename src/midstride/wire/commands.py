@@ -141,12 +141,17 @@ class AwaitRateCommand(Command[RateVerdict], frozen=True, kw_only=True, tag="awa
 
 
 class AwaitMatchCommand(Command[Attached], frozen=True, kw_only=True, tag="await_match"):
-    """Wait until the endpoint of an attachment is matched with ``peers`` compatible endpoints, as it sees it."""
+    """Wait until the endpoint of an attachment is matched with ``peers`` compatible endpoints, as it sees it.
+
+    With ``publisher_ids``, an input waits until its process has discovered those publishers instead, if the middleware
+    tells that.
+    """
 
     kind = "reading"
     port: str
     topic: str
     peers: int
+    publisher_ids: list[str] = []
     timeout: Seconds = 5.0
 
 

@@ -177,10 +177,15 @@ class CutResult(WireValue, frozen=True, kw_only=True):
 
 
 class Attached(WireValue, frozen=True, kw_only=True):
-    """``matched``: with how many compatible endpoints; ``ready_in``: how long it may yet lose messages (s)."""
+    """``matched``: with how many compatible endpoints; ``ready_in``: how long it may yet lose messages (s).
+
+    ``missing``: which of the publishers that were asked about the process has not discovered, None where the middleware
+    does not tell.
+    """
 
     matched: int
     ready_in: float = 0.0
+    missing: list[str] | None = None
 
 
 class Detached(WireValue, frozen=True, kw_only=True):

@@ -137,6 +137,9 @@ class PortSubscription:
         """-1 until the master lists it and the publishers there have had time to connect."""
         return self.topic.connected() if self.topic.registered else -1
 
+    def publisher_ids(self) -> frozenset[str] | None:
+        return None
+
     def destroy(self) -> None:
         """No callback from now on."""
         self._callback = None

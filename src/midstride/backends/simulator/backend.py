@@ -191,6 +191,10 @@ class Simulator(Backend):
             ),
         )
 
+    async def publisher_ids(self, topic: str, instance: str) -> frozenset[str]:
+        writers = () if topic not in self.network.topics else self.network.topics[topic].writers
+        return frozenset(writer.identity for writer in writers if writer.owner is self.processes.get(instance))
+
     @asynccontextmanager
     async def probe(self) -> AsyncIterator[str | None]:
         self._probes += 1

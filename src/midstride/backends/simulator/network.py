@@ -96,6 +96,9 @@ class SimulatedReader:
     def matched(self) -> int:
         return len(self._network.writers_of(self))
 
+    def publisher_ids(self) -> frozenset[str] | None:
+        return frozenset(writer.identity for writer in self._network.writers_of(self))
+
     def destroy(self) -> None:
         self.gone = True
         with suppress(ValueError):

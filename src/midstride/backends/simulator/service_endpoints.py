@@ -297,6 +297,9 @@ class SimulatedClient:
         network = self.end.network
         return int(network.serves_outside(self.end) or bool(network.found(self.end)))
 
+    def publisher_ids(self) -> None:
+        return None
+
     def destroy(self) -> None:
         if self.end in self.end.network.clients:
             self.end.network.clients.remove(self.end)

@@ -171,8 +171,16 @@ class Attachments:
             await self.host.sleep(TICK)
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> replies.Attached:
-        link = self._attached(command.port, command.topic)
-        return replies.Attached(matched=max(0, await self._match(link, command.peers, command.timeout)))
+        link, wanted = self._attached(command.port, command.topic), set(command.publisher_ids)
+        if not wanted or (missing := _undiscovered(link, wanted)) is None:
+            return replies.Attached(matched=max(0, await self._match(link, command.peers, command.timeout)))
+        deadline = self.host.steady() + int(command.timeout * 1e9)
+        while missing or link.endpoint.matched() < len(wanted):
+            if self.host.steady() >= deadline:
+                break
+            await self.host.sleep(TICK)
+            missing = _undiscovered(link, wanted)
+        return replies.Attached(matched=max(0, link.endpoint.matched()), missing=sorted(missing or ()))
 
     async def await_readers(self, command: commands.AwaitReadersCommand) -> replies.Attached:
         link = self.link(command.port, command.topic)
@@ -265,3 +273,10 @@ class Attachments:
 def _missing(link: OutputLink | InputLink, reader_ids: Sequence[str]) -> int:
     """How many of the readers the process has not discovered yet."""
     return len(set(reader_ids) - link.endpoint.reader_ids()) if isinstance(link, OutputLink) and reader_ids else 0
+
+
+def _undiscovered(link: OutputLink | InputLink, publisher_ids: set[str]) -> set[str] | None:
+    """The publishers that the process of an input has not discovered yet; None where that is not told."""
+    if not isinstance(link, InputLink) or (known := link.endpoint.publisher_ids()) is None:
+        return None
+    return publisher_ids - known

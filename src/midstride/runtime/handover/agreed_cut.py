@@ -20,6 +20,7 @@ from midstride.errors import CallTimeout, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.handover.arbiter_choice import ArbiterKind, choose_arbiter
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import (
@@ -45,6 +46,9 @@ FIND_TIMEOUT: Final = 5.0
 # How often, and at which interval (s), a subscriber may still count a publisher that has left.
 LEAVE_ATTEMPTS: Final = 10
 LEAVE_INTERVAL: Final = 0.05
+# How often, and at which interval (s), the manager looks for a new publisher that others may have found.
+IDENTITY_ATTEMPTS: Final = 20
+IDENTITY_INTERVAL: Final = 0.05
 
 
 @dataclass(slots=True)
@@ -229,8 +233,27 @@ def early_publishers(configuration: Configuration, new: Iterable[PortRef]) -> in
     return sum(not configuration.component(port.instance).has_agent for port in new)
 
 
+async def new_publisher_ids(
+    backend: Backend, configuration: Configuration, new: Iterable[PortRef], connector: str
+) -> dict[str, PortRef]:
+    """The identities of new publishers on ``connector``, with their ports; empty unless all of them are known.
+
+    The manager may find them a little later than others do.
+    """
+    ports, topic = sorted(new), configuration.topic(connector)
+    for _ in range(IDENTITY_ATTEMPTS):
+        found = [(port, await backend.publisher_ids(topic, port.instance)) for port in ports]
+        if any(ids is None for _, ids in found):
+            return {}
+        if all(ids for _, ids in found):
+            return {each: port for port, ids in found for each in ids or ()}
+        await asyncio.sleep(IDENTITY_INTERVAL)
+    return {}
+
+
 async def require_found(
     client: ComponentClient,
+    backend: Backend,
     configuration: Configuration,
     swaps: Iterable[Swap],
     connector: str,
@@ -239,25 +262,36 @@ async def require_found(
     """Raises StepFailed unless the subscribers of ``connector`` have found the new publishers.
 
     That the publishers have found them is not enough: a subscriber whose middleware does not discover endpoints any
-    more would receive nothing after the cut. ``before`` is what :func:`publishers_found` returned. Such a subscriber
-    may also not have noticed who left, so the number of publishers there are would not do. New publishers of nodes
-    without Midstride's API have existed since their processes started, and may have been counted before. Such a node
-    may also have left without a word, and be counted for long. So for them that number has to do.
+    more would receive nothing after the cut. Each is asked for the new ones by their identities. Where the middleware
+    does not tell these, and of a subscriber without Midstride's API, only numbers are known.
+
+    ``before`` is what :func:`publishers_found` returned. Such a subscriber may also not have noticed who left, so the
+    number of publishers there are would not do. New publishers of nodes without Midstride's API have existed since
+    their processes started, and may have been counted before. Such a node may also have left without a word, and be
+    counted for long. So for them that number has to do.
     """
     new = {swap.new for swap in swaps if swap.connector == connector}
+    ids = await new_publisher_ids(backend, configuration, new, connector)
     gone = sum(client.life.is_gone(port.instance) for port in configuration.publishers_on(connector))
     topic, early = configuration.topic(connector), early_publishers(configuration, new)
     for port, counted in before.items():
         # Whether one that has exited is still counted is not known.
         wanted = (len(configuration.publishers_on(connector)) if early else counted) + len(new) - gone
-        await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=wanted, timeout=FIND_TIMEOUT)
+        await_match = AwaitMatchCommand(
+            port=port.port, topic=topic, peers=wanted, publisher_ids=sorted(ids), timeout=FIND_TIMEOUT
+        )
         try:
-            matched = (await client.read(port.instance, await_match)).matched
+            found = await client.read(port.instance, await_match)
         except (CallTimeout, Unreachable):
             continue
-        if matched < wanted:
+        if found.missing is not None:
+            lacks = sorted({str(ids[each]) for each in found.missing if each in ids})
+            words = f"has not found {' and '.join(lacks)}" if lacks else ""
+        else:
+            words = f"has found only {found.matched} of {wanted} publishers" if found.matched < wanted else ""
+        if words:
             raise StepFailed(
-                f"{port} has found only {matched} of {wanted} publishers on {topic} within {FIND_TIMEOUT:g} s "
+                f"{port} {words} on {topic} within {FIND_TIMEOUT:g} s "
                 "and would receive nothing after the hand-over; its middleware may have stopped discovering endpoints: "
                 f"replace {port.instance} first"
             )

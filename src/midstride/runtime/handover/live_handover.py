@@ -249,7 +249,7 @@ class LiveHandover:
             readers = await all_of(self._new.readers(swap) for swap in self.swaps)
         await self._new.attach_beside(self.swaps, readers)
         await all_of(
-            require_found(self.client, self.configuration, self.swaps, connector, before)
+            require_found(self.client, self.backend, self.configuration, self.swaps, connector, before)
             for connector, before in zip(connectors, found, strict=True)
         )
         await self._await_turn(self.swaps, lambda: any(self.client.life.is_gone(old) for old, _ in pairs))

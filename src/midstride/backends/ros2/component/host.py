@@ -159,7 +159,10 @@ class Ros2Host:
         )
         self._ports.add(id(subscription))
         return port_endpoints.RosSubscription(
-            subscription, self._destroy(self.ros_node.destroy_subscription), self.ros_node.count_publishers
+            subscription,
+            self._rmw,
+            self._destroy(self.ros_node.destroy_subscription),
+            self.ros_node.get_publishers_info_by_topic,
         )
 
     def create_server(self, name: str, type_: type, answer: Callable[[Any, Any], Any]) -> RosServer:

@@ -62,6 +62,11 @@ def qos_of(profile: Any) -> QoS:
     )
 
 
+def identity_of(info: Any) -> str:
+    """The identity of an endpoint of the graph, which every process sees as the same where identities are shared."""
+    return bytes(info.endpoint_gid).hex()
+
+
 def seconds_of(duration: Any) -> float | None:
     """A duration of a profile (s); None where there is none."""
     return duration.nanoseconds / 1e9 if 0 < duration.nanoseconds < _INFINITE else None
@@ -99,7 +104,7 @@ class RosPublisher:
         if not self._rmw.shares_identities:
             return frozenset()
         try:
-            return frozenset(bytes(info.endpoint_gid).hex() for info in self._in_graph(self._publisher.topic_name))
+            return frozenset(identity_of(info) for info in self._in_graph(self._publisher.topic_name))
         except InvalidHandle:
             return frozenset()
 
@@ -123,11 +128,18 @@ class RosPublisher:
 class RosSubscription:
     """An input's subscription."""
 
-    __slots__ = ("_destroy", "_in_graph", "_subscription")
+    __slots__ = ("_destroy", "_in_graph", "_rmw", "_subscription")
 
-    def __init__(self, subscription: Any, destroy: Callable[[Any], object], in_graph: Callable[[str], int]) -> None:
-        """``in_graph`` counts the publishers of a topic, for an rclpy that does not count the matched ones (humble)."""
+    def __init__(
+        self,
+        subscription: Any,
+        rmw: RmwImplementation,
+        destroy: Callable[[Any], object],
+        in_graph: Callable[[str], list[Any]],
+    ) -> None:
+        """``in_graph`` lists the publishers of a topic."""
         self._subscription = subscription
+        self._rmw = rmw
         self._destroy = destroy
         self._in_graph = in_graph
 
@@ -137,9 +149,17 @@ class RosSubscription:
             with handle:
                 if hasattr(handle, "get_publisher_count"):
                     return int(handle.get_publisher_count())
-            return self._in_graph(self._subscription.topic_name)
+            return len(self._in_graph(self._subscription.topic_name))  # that rclpy counts none (humble)
         except InvalidHandle:
             return 0
+
+    def publisher_ids(self) -> frozenset[str] | None:
+        if not self._rmw.shares_identities:
+            return None
+        try:
+            return frozenset(identity_of(info) for info in self._in_graph(self._subscription.topic_name))
+        except InvalidHandle:
+            return frozenset()
 
     def destroy(self) -> None:
         self._destroy(self._subscription)

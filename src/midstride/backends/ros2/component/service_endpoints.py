@@ -87,6 +87,9 @@ class RosCaller:
         except InvalidHandle:
             return 0
 
+    def publisher_ids(self) -> None:
+        return None
+
 
 class RosClient(RosCaller):
     """A client of the service ``name``."""

@@ -396,6 +396,11 @@ class Ros2Backend(ContainerBackend, Backend):
     def listen(self, topic: str, assumption: Predicate) -> RosListener:
         return RosListener(self._node, self._joined(), topic, assumption)
 
+    async def publisher_ids(self, topic: str, instance: str) -> frozenset[str] | None:
+        if (name := self._foreign_nodes.shown_as(instance)) is None:
+            return None
+        return self._joined().publisher_ids(topic, name)
+
     async def lingering_readers(self, topic: str) -> int:
         return self._joined().lingering_readers(topic)
 

@@ -150,6 +150,16 @@ class ForeignNodes:
                 found.append((mark, InstanceNode(instance, record.node, system_tag(record.token))))
         return found
 
+    def shown_as(self, instance: str) -> str | None:
+        """The name that the graph shows endpoints of an instance under; None where it does not tell them from others'.
+
+        That is so of one whose process has its gate inside, and no mark.
+        """
+        if (agent := self._agents.get(instance)) is None:
+            return full_name(instance)
+        record = agent.node.record
+        return full_name(instance, split_name(record.node)[1]) if record.node and self._mark(record) else None
+
     def mark_of(self, instance: str) -> bytes | None:
         """The identity of a publisher of the process of an instance; None where it is not known."""
         agent = self._agents.get(instance)

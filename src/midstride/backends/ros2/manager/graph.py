@@ -272,6 +272,18 @@ class Graph:
         instances = self._instances_of(map(self._process, infos))
         return sum(not self._lives(info, self._name(info, instances)) for info in infos)
 
+    def publisher_ids(self, topic: str, instance: str) -> frozenset[str] | None:
+        """The identities of the publishers of a living instance; None where they cannot be told from another's.
+
+        ``instance``: its full name.
+        """
+        if self.rmw.participant is None or not self.rmw.shares_identities:
+            return None
+        infos = self._publishers(topic)
+        instances = self._instances_of(map(self._process, infos))
+        own = (info for info in infos if self._name(info, instances) == instance and self._lives(info, instance))
+        return frozenset(map(port_endpoints.identity_of, own))
+
     def living_publishers(self, topic: str) -> list[Any]:
         """The publishers on ``topic`` whose process is not known to be dead."""
         infos = self._publishers(topic)
