@@ -134,6 +134,30 @@ def test_nodes_of_a_name_that_no_instance_has_are_told_from_instances(nodes: tup
     assert Graph(node).shows_others("/p") is others
 
 
+def test_processes_of_a_name_that_have_ended_are_not_listed() -> None:
+    """They stay in the graph until their leases are over, beside the process that has the name now."""
+    from midstride.backends.ros2.manager.graph import Graph
+
+    listed = ListedGraph(Random(0))
+    listed.nodes = [(name, "/") for name in ("p", "_p_control_0123abcd_of_p") for _ in range(3)]
+    listed.infos = {place: [] for place in listed.infos}
+    graph = Graph(listed)
+
+    def starts(process: int) -> None:
+        graph.starts("/p")
+        for name in ("p", "_p_control_0123abcd_of_p"):
+            gid = [process] * 12 + [len(name)] * 4
+            listed.infos["/parameter_events", True].append(
+                SimpleNamespace(node_name=name, node_namespace="/", endpoint_gid=gid)
+            )
+
+    for process in (1, 2, 3):
+        starts(process)
+        keys = {found.key[0] for _, found in graph.processes()}
+        assert keys == {process}
+        graph.died("/p")
+
+
 def test_what_is_looked_up_by_name_is_what_a_look_at_every_endpoint_finds() -> None:
     from midstride.backends.ros2.manager.graph import Graph
 

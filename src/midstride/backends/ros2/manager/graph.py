@@ -76,14 +76,17 @@ class Graph:
         """Ignore what the graph shows under a name now, and nothing that appears there later."""
         now = time.monotonic()
         self._dead_endpoints = {gid: at for gid, at in self._dead_endpoints.items() if now - at < self.rmw.linger}
-        self._dead_endpoints.update((_gid(info), now) for info in self._under(full_name))
+        controls = (info for info, found in self._controls() if found.instance == full_name)
+        self._dead_endpoints.update((_gid(info), now) for info in (*self._under(full_name), *controls))
 
     def _lives(self, info: Any, name: str) -> bool:
         died = self._died.get(name)
+        return (died is None or time.monotonic() - died > self.rmw.linger) and not self._is_known_dead(info)
+
+    def _is_known_dead(self, info: Any) -> bool:
+        """Return whether an endpoint is known by its identity to be of a process that has ended."""
         ended = self._ended.get(self.rmw.process_of(info) or b"")
-        if ended is not None and time.monotonic() - ended <= self.rmw.linger:
-            return False
-        return (died is None or time.monotonic() - died > self.rmw.linger) and _gid(info) not in self._dead_endpoints
+        return (ended is not None and time.monotonic() - ended <= self.rmw.linger) or _gid(info) in self._dead_endpoints
 
     def has(self, full_name: str) -> bool:
         """Return whether a living instance, or a foreign node, of that name is in the graph."""
@@ -162,12 +165,15 @@ class Graph:
     def processes(self) -> list[tuple[str, NodeProcess]]:
         """Every node that the graph shows, by its full name, with its process; none where the middleware names none.
 
+        Those of a process that has ended, and whose name another one has since, are left out.
         Each ROS node has its own publisher on ``/parameter_events``, unless its program has chosen otherwise.
         """
-        found = [(_node(info), self.rmw.node_process(info)) for info in self._publishers(names.PARAMETER_EVENTS)]
+        infos = [info for info in self._publishers(names.PARAMETER_EVENTS) if not self._is_known_dead(info)]
+        found = [(_node(info), self.rmw.node_process(info)) for info in infos]
         seen = {node for node, _ in found}
         for node in sorted(set(self._node_names()) - seen):
-            found += dict.fromkeys((node, self.rmw.node_process(info)) for _, _, info in self._of_node(node))
+            living = (info for _, _, info in self._of_node(node) if not self._is_known_dead(info))
+            found += dict.fromkeys((node, self.rmw.node_process(info)) for info in living)
         return [(node, process) for node, process in found if process is not None]
 
     def published_by(self, node: str) -> list[str]:
