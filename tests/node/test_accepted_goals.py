@@ -410,6 +410,27 @@ def test_what_ros_has_discarded_is_still_answered_for_where_the_successor_leaves
     assert admission.turn("result 1", "1", lambda: None) is Turn.WAIT
 
 
+def test_the_results_of_a_server_that_has_left_the_graph_are_answered_by_the_next_one() -> None:
+    """Those that a client has, and those of another server of the instance, are not kept."""
+    goals, one, other = RequestAdmission(lambda: 0).goals, lambda: None, lambda: None
+    for goal, cancel_all in (("left", one), ("fetched", one), ("other", other), ("goes on", one)):
+        assert goals.accepted(goal, cancel_all)
+        if goal != "goes on":
+            goals.ended(goal, f"result of {goal}".encode, cancelled=False)
+    goals.fetched("fetched")
+    goals.server_left(one)
+    assert [goals.kept(goal) for goal in ("left", "fetched", "other", "goes on")] == [
+        b"result of left",
+        None,
+        None,
+        None,
+    ]
+    assert (goals.has("left"), goals.has("other"), goals.in_progress) == (False, True, 1)
+    assert goals.counts == GoalCounts(accepted=4, ended=3)
+    goals.fetched("left")
+    assert goals.hand_over() == {"other": b"result of other"}
+
+
 def test_requests_of_two_clients_about_goals_may_look_the_same() -> None:
     """The identity of a client is not in what rclpy passes: each of these is answered."""
     admission = RequestAdmission(lambda: 0)

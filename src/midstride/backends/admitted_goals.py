@@ -101,6 +101,10 @@ class AdmittedGoals:
             case Turn.ANSWER:
                 await self._cancel(request, None)
 
+    def left(self) -> None:
+        """Note that the server has left the graph."""
+        self.admission.goals.server_left(self._cancel_all)
+
     async def _accept(self, request: GoalRequest) -> None:
         goal, goals = request.goal, self.admission.goals
         try:

@@ -174,8 +174,27 @@ class Goals:
                     break
                 size -= len(self._kept.pop(goal))
 
+    def server_left(self, cancel_all: Callable[[], object]) -> None:
+        """Keep the results that no client has fetched of a server that has left the graph.
+
+        ``cancel_all`` is what :meth:`accepted` was given for its goals. Another server of its name may come, as where
+        the port is detached and attached again.
+        """
+        with self._lock:
+            ended = {
+                id: (goal.result, goal.fetched)
+                for id, goal in self._own.items()
+                if goal.cancel_all == cancel_all and goal.result is not None
+            }
+            for goal in ended:
+                del self._own[goal]
+        self.keep({id: result() for id, (result, fetched) in ended.items() if not fetched})
+
     def kept(self, goal: str) -> bytes | None:
-        """Return the response with the result of a predecessor's goal, serialized; None where it has left none."""
+        """Return the response with the result of a goal whose server is gone, serialized; None where there is none.
+
+        Such a goal was accepted by a predecessor, or by a server that has left the graph.
+        """
         return self._kept.get(goal)
 
     # -- requests to cancel many goals -------------------------------------------------------------

@@ -260,6 +260,7 @@ class SimulatedActionServer(RetiringServer[GoalAnswers]):
 
     def _leave(self) -> None:
         self.end.network.servers.remove(self)
+        self._requests.left()
         self._gone()
 
 

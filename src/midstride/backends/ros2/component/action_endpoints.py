@@ -100,6 +100,7 @@ def guard_action(server: Any, admission: RequestAdmission, later: Callable[[Call
                 admission.goals.expired(_uuid(info.goal_id))
 
     server.execute = execute_admitted
+    server.admitted_goals = goals
 
 
 def _goal_request(kind: str, entry: Any) -> GoalRequest:

@@ -45,6 +45,11 @@ class AdmittingNode(Node):  # type: ignore[misc]
             guard_action(waitable, self._admission, self._later)
         super().add_waitable(waitable)
 
+    def remove_waitable(self, waitable: Any) -> None:
+        super().remove_waitable(waitable)
+        if _is_action(waitable, "ActionServer"):
+            waitable.admitted_goals.left()
+
     def destroy_node(self) -> None:
         """Also end its ROS actions, which rclpy leaves to their owner.
 
