@@ -215,6 +215,21 @@ while True:
 """
 
 
+def test_one_that_was_asked_to_end_before_gets_no_signal_while_it_does(tmp_path: Path) -> None:
+    """A second signal would end it at once."""
+
+    async def main() -> None:
+        brief = [sys.executable, "-S", "-c", "import time; time.sleep(0.3)"]
+        process = spawn(brief, tmp_path, {}, tmp_path / "log.txt")
+        assert await process.end(StopTimes(0.0, 5.0, asked=60.0)) == []
+        assert process.status == 0
+        goes_on = spawn(["sleep", "600"], tmp_path, os.environ, tmp_path / "log.txt")
+        assert await goes_on.end(StopTimes(0.0, 5.0, asked=0.05)) == []
+        assert goes_on.status == -signal.SIGTERM
+
+    asyncio.run(main())
+
+
 @pytest.mark.parametrize(
     ("ends_on", "stop", "came", "is_killed"),
     [

@@ -41,13 +41,15 @@ class StopTimes:
     A signal that has 0 s to take effect is not sent. The defaults are those of ROS's own `launch`. Before that, a node
     with the preloaded library answers the requests to its services that it has taken, for ``drain`` s from when its
     replacement is to answer, and for as long again once it is to end. It goes on with the goals of its ROS actions
-    until these have ended, for ``patience`` s at most.
+    until these have ended, for ``patience`` s at most. One that has been ``asked`` to end before is first waited for so
+    long (s), without a signal: the second one would end it at once.
     """
 
     sigterm: float = 5.0
     sigkill: float = 5.0
     drain: float = 2.0
     patience: float = 60.0
+    asked: float = 0.0
 
     @property
     def longest(self) -> float:

@@ -211,7 +211,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     other program has asked it to set them since its start. ``set_at``: when a request has set those of ``declared`` of
     which that is known (Unix time, s). ``unfinished``: once it ends, in which way its `on_stop`
     has failed, or what it has left unanswered, or which goals. ``goals``: those of its ROS actions, None where it has
-    had none.
+    had none. ``ending``: it has been asked to end, refuses changes, and ends by itself.
     """
 
     instance: str
@@ -247,6 +247,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     set_at: dict[str, float] = {}
     unfinished: str | None = None
     goals: GoalCounts | None = None
+    ending: bool = False
 
     def set_values(self) -> dict[str, Any]:
         """The values of the parameters that were set while it ran."""

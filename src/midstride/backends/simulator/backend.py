@@ -153,10 +153,9 @@ class Simulator(Backend):
         if process is None:
             return []
         process.exit_expected = True
+        await self._exits(process, stop.asked)
         process.terminate()
-        deadline = self.time.steady() + stop.longest
-        while not process.dead and self.time.steady() < deadline:
-            await self.time.sleep(min(0.01, stop.longest))
+        await self._exits(process, stop.longest)
         if not process.dead and stop.longest and (others := beside(process, self.processes)):
             process.exit_expected = False
             names = ", ".join(sorted(each.instance for each in others))
@@ -166,6 +165,12 @@ class Simulator(Backend):
         )
         process.kill()
         return killed
+
+    async def _exits(self, process: SimulatedProcess, seconds: float) -> None:
+        """Wait until a process is dead, no longer than that."""
+        deadline = self.time.steady() + seconds
+        while not process.dead and self.time.steady() < deadline:
+            await self.time.sleep(min(0.01, seconds))
 
     async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
         started = {name for name, process in self.processes.items() if process.token == token}

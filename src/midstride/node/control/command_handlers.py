@@ -305,7 +305,9 @@ class CommandHandlers:
 
     # -- state -------------------------------------------------------------------------------------
 
-    def state(self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int) -> ComponentState:
+    def state(
+        self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int, ending: bool
+    ) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
         # At one moment: the data thread may set one.
         parameters = [_Seen(each.name, each.value, each.declared) for each in self._parameters().values()]
@@ -329,6 +331,7 @@ class CommandHandlers:
             unfinished=self.unfinished,
             goals=self.host.admission.goals.counts,
             host=THIS_HOST,
+            ending=ending,
         )
 
     def _stopping_seconds(self) -> float:

@@ -106,6 +106,7 @@ class Agent:
             except asyncio.CancelledError:
                 pass  # SIGTERM, SIGINT
             self._stopping.set()
+            self._report()  # a manager that has not asked for it should know
             await handlers.end()
             if handlers.unfinished is not None or self.host.admission.goals.counts is not None:
                 self._report()  # for the report of the change
@@ -287,7 +288,8 @@ class Agent:
     def state(self) -> ComponentState:
         """Read without waiting for the data thread."""
         imported = len(self.program.modules)
-        return self._handlers.state(self.host.instance, self._uuid, self.pid, self._waiting(), imported)
+        ending = self._stopping.is_set()
+        return self._handlers.state(self.host.instance, self._uuid, self.pid, self._waiting(), imported, ending)
 
     def _waiting(self) -> str | None:
         if self.standalone is None and not self.host.managed:

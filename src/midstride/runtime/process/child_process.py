@@ -143,6 +143,8 @@ class Process:
 
     async def _end(self, stop: StopTimes) -> list[RemainingProcess]:
         group, _ = self._members()
+        if stop.asked > 0 and group:
+            group = await self._gone(self._loop.time() + stop.asked)
         for number, patience in ((signal.SIGINT, stop.sigterm), (signal.SIGTERM, stop.sigkill)):
             if patience > 0 and group:
                 self._signal(number)

@@ -62,7 +62,7 @@ class HalfDone:
             longest = instance.component.stop_times.patience + 3 * CANCELLING
             self.events.add("note", change_facts.waits_for_goals(name, because, state.goals.in_progress, longest))
         try:
-            await self.launcher.end(name)
+            await self.launcher.end(name, asked=state.ending)
         except MidstrideError as error:
             words = f"{name}, {because}, could not be ended: {error}; `midstride down` tries again"
             self.events.add(HALF_DONE, words)

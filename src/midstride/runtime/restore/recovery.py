@@ -86,7 +86,8 @@ async def recover(
         words = f"stopped {name}, which an earlier manager had just started: what others relied on of it is not known"
         events.add(HALF_DONE, words)
     found = await _resolved(found, launcher, client, events)
-    redundant = _redundant(found)
+    ending = [name for name, (_, state) in found.items() if state.ending]
+    redundant = [*ending, *_redundant({name: each for name, each in found.items() if name not in ending})]
     for name in redundant:
         instance, state = found.pop(name)
         goes_on = None
@@ -97,7 +98,8 @@ async def recover(
                     left = await have_answer(client, other, name, instance.component.stop_times.drain)
                     if left is not None:
                         events.add("note", left)
-        await half_done.end(instance, state, "which an earlier manager had left half done", goes_on)
+        because = "asked to end" if state.ending else "left half done"
+        await half_done.end(instance, state, f"which an earlier manager had {because}", goes_on)
     for name, (instance, state) in found.items():
         if instance.role not in waiting or state.uuid == waiting[instance.role]:
             await have_answer(client, name)
