@@ -96,6 +96,10 @@ for name, port in (("counting", count), ("mapping", map)):
     functionality.set_degraded_mode(lambda: None, name="off")
 comp.start()
 """
+# The same with one server.
+COUNTING_OURS: Final = OURS.replace(
+    'map = comp.create_server("map", ListParameters, answer, refusal=refuse)\n', ""
+).replace(', ("mapping", map)', ",")
 OUR_SYSTEM: Final = """system serving
 contract Listing = rcl_interfaces/srv/ListParameters
 topic /chat : std_msgs/msg/String @ 50 Hz

@@ -21,7 +21,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.reports import Outcome
 from tests.acceptance.foreign_support import Robot, robot
-from tests.acceptance.serving import CLIENTS, SERVER, Calls, calling
+from tests.acceptance.serving import CLIENTS, COUNTING_OURS, SERVER, Calls, calling
 from tests.acceptance.support import ended
 from tests.backends.ros2_support import run
 
@@ -71,15 +71,26 @@ component Hanging like Talker { run "python3 failing.py hangs" stop drain 0.3 s 
 component Late like Talker { run "python3 failing.py late" gate preload }
 node talker : Talker { out -> /chat  count -> /count }
 """
+OWN: Final = """component Ours {
+  run "python3 ours.py"
+  output out
+  server count
+  functionality talk { produces out  mode normal { guarantee out : std_msgs/msg/String @ 50 Hz }  mode degraded { } }
+  functionality counting { produces count  mode normal { guarantee count : Listing }  mode off { } }
+}
+"""
 # After so long a client gives a request up (s).
 PATIENCE: Final = 8.0
 NUMBER: Final = 5
+RESTART: Final = PlanRequest(restart=("talker",))
 
 
 def written(folder: Path, watch_after: float = 4, gate: str = "preload") -> Specification:
-    for name, text in (("server", SERVER), ("failing", FAILING), ("clients", CLIENTS)):
+    ours = COUNTING_OURS.replace("within=0.5", "within=0.2")
+    for name, text in (("server", SERVER), ("failing", FAILING), ("clients", CLIENTS), ("ours", ours)):
         (folder / f"{name}.py").write_text(text)
-    text = TEXT.replace("watch_after 4 s", f"watch_after {watch_after:g} s").replace("gate preload", f"gate {gate}")
+    text = TEXT + OWN
+    text = text.replace("watch_after 4 s", f"watch_after {watch_after:g} s").replace("gate preload", f"gate {gate}")
     return load_text(text if gate == "preload" else text.replace("stop drain 0.3 s ", "")).require()
 
 
@@ -157,14 +168,17 @@ def test_a_new_server_that_is_late_is_rolled_back_and_another_one_is_kept(tmp_pa
 
 
 class Killer:
-    """Kills an instance at a point of a change: `old` or `new`, a command to the new one, `before` or `after` it."""
+    """Kills an instance at a point of a change: `old` or `new`, a command to the new one, `before` or `after` it.
+
+    One command is to the old one: `join_requests`.
+    """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.commands: list[str] = []  # those to the new one
         self.killed: set[str] = set()
         self._point: tuple[str, str, str] | None = None
         self._system: Robot | None = None
-        self._old = ""
+        self._old = self._new = ""
         send = ComponentClient._send
 
         async def sends(client: ComponentClient, instance: str, command: Any, revision: Any) -> Any:
@@ -176,13 +190,14 @@ class Killer:
         monkeypatch.setattr(ComponentClient, "_send", sends)
 
     def _kill(self, instance: str, command: str, when: str) -> None:
-        if self._system is None or instance == self._old:
+        if self._system is None or (instance == self._old and command != "join_requests"):
             return
+        self._new = self._new if instance == self._old else instance
         if when == "before":
             self.commands.append(command)
         if self._point is None or self._point[1:] != (command, when):
             return
-        victim = self._old if self._point[0] == "old" else instance
+        victim = self._old if self._point[0] == "old" else self._new
         self._point, handle = None, self._system.manager.system.life[victim].handle
         if handle is not None and handle.pid:
             os.kill(handle.pid, signal.SIGKILL)
@@ -193,10 +208,10 @@ class Killer:
         """Return whether the last change came to its point."""
         return self._point is None
 
-    async def restart(self, system: Robot, point: tuple[str, str, str] | None) -> Outcome:
+    async def change(self, system: Robot, point: tuple[str, str, str] | None, request: PlanRequest) -> Outcome:
         self._system, self._point, self._old = system, point, instances(system)[0]
         self.commands = []
-        report: Outcome = await system.meanwhile(system.manager.change(PlanRequest(restart=("talker",))))
+        report: Outcome = await system.meanwhile(system.manager.change(request))
         self._system = None
         return report
 
@@ -217,21 +232,64 @@ def test_one_serves_on_when_the_other_is_killed_at_any_command(
     async def scenario() -> None:
         ends, reached = 0, set[str]()
         async with failing(tmp_path, 0, gate) as (system, calls):
-            assert (await killer.restart(system, None)).outcome == "done"
+            assert (await killer.change(system, None, RESTART)).outcome == "done"
             points = [(victim, name, when) for name in dict.fromkeys(killer.commands) for when in ("before", "after")]
             for point in points:
                 await served_by(system, calls)
-                report = await killer.restart(system, point)
+                report = await killer.change(system, point, RESTART)
                 print(point, report.outcome, report.because)
                 if not killer.has_killed:  # a command that not every change needs
                     continue
                 reached.add(point[1])
                 ends += victim == "old" or report.outcome == "done"
                 if not instances(system):  # the one that was to be kept is the one that was killed
-                    await system.meanwhile(system.manager.change(PlanRequest(restart=("talker",))))
+                    await system.meanwhile(system.manager.change(RESTART))
             await served_by(system, calls)
         assert reached >= {"cut_in", "await_cut", "answer"}
         judge(calls, killer.killed, ends)
 
     with ended():
         run(scenario(), 1200)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("victim", ["old", "new"])
+def test_one_serves_on_when_one_of_the_two_has_the_api_and_either_is_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str
+) -> None:
+    """A program with the library and a component with the API in turn; otherwise as above."""
+    killer = Killer(monkeypatch)
+
+    async def scenario() -> None:
+        ends, reached = 0, set[str]()
+
+        async def becomes(component: str, system: Robot, point: tuple[str, str, str] | None = None) -> Outcome:
+            return await killer.change(system, point, PlanRequest(replace=(("talker", component),)))
+
+        async with failing(tmp_path, 0) as (system, calls):
+            for old, new in (("Talker", "Ours"), ("Ours", "Talker")):
+                assert (await becomes(new, system)).outcome == "done"
+                points = [
+                    (victim, name, when) for name in dict.fromkeys(killer.commands) for when in ("before", "after")
+                ]
+                assert (await becomes(old, system)).outcome == "done"
+                for point in points:
+                    await served_by(system, calls)
+                    report = await becomes(new, system, point)
+                    print(old, new, point, report.outcome, report.because)
+                    if killer.has_killed:
+                        reached.add(point[1])
+                        ends += victim == "old" or report.outcome == "done"
+                    if not instances(system):
+                        await system.meanwhile(system.manager.change(RESTART))
+                    (name,) = instances(system)
+                    if system.manager.configuration.component(name).name != old:
+                        assert (await becomes(old, system)).outcome == "done"
+                assert (await becomes(new, system)).outcome == "done"
+            await served_by(system, calls)
+        assert reached >= {"cut_in", "await_cut", "answer", "join_requests"}
+        judge(calls, killer.killed, ends)
+
+    with ended():
+        run(scenario(), 1800)

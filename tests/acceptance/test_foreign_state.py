@@ -312,7 +312,12 @@ def test_the_state_of_a_relayed_node_goes_on_behind_another_relay_and_with_the_a
                 await system.hears()
                 heard = system.heard[begun - 1 :]
                 silences = [(b[0] - a[0], b[2] - a[2] - 1) for a, b in pairwise(heard) if a[1] != b[1]]
-                print(f"{component}: silent for {silences[0][0] * 1e3:.0f} ms, left out {silences[0][1]} numbers")
+                (moved,) = report.moved.values()
+                assert 3 <= moved.bytes <= 8, moved
+                assert moved.silent is not None and abs(moved.silent - silences[0][0]) < 0.1, (moved, silences)
+                print(
+                    f"{component}: silent for {silences[0][0] * 1e3:.0f} ms, left out {silences[0][1]} numbers; {moved}"
+                )
             report = await system.change("Refusing", "counter")
             assert report.outcome == "rolled_back" and "of another version" in (report.because or ""), report
             await system.hears()

@@ -211,14 +211,24 @@ def test_clients_behind_a_relay_are_refused(gate: str, refused: list[str]) -> No
     assert sorted(named) == refused
 
 
-def test_a_server_is_handed_over_between_two_components_of_one_kind_only() -> None:
+def test_a_server_is_handed_over_between_components_with_the_api_and_nodes_with_the_library() -> None:
     own = TEXT.replace('run "server" gate preload', 'run "server"')
     specification = load_text(own).require()
     require_arbiters(restarted(specification, "map_server"))
     changed = load_text(own + 'component Plain like Server { run "plain" gate preload }\n').require()
     request = PlanRequest(replace=(("map_server", "Plain"),))
     plan = planner()(requested_change(initial(changed), changed, request, request.target(changed)))
-    with pytest.raises(PlanRefused, match="map_server uses Midstride's API, and the other one does not, so both would"):
+    require_arbiters(plan)
+
+
+def test_a_ros_action_is_not_handed_over_between_the_api_and_the_library() -> None:
+    specification = load_text(TEXT + 'component Own like Docking { run "own" }\n').require()
+    request = PlanRequest(replace=(("docking", "Own"),))
+    plan = planner()(requested_change(initial(specification), specification, request, request.target(specification)))
+    refused = (
+        "docking has `gate preload`, and the other one has not, so both would execute each goal; use `gate relay` for"
+    )
+    with pytest.raises(PlanRefused, match=refused):
         require_arbiters(plan)
 
 
@@ -229,11 +239,7 @@ def test_a_server_is_handed_over_between_a_relay_and_what_admits_requests_as_it_
     specification = load_text(system).require()
     request = PlanRequest(replace=(("map_server", "Other"),))
     plan = planner()(requested_change(initial(specification), specification, request, request.target(specification)))
-    if other == " gate preload":
-        with pytest.raises(PlanRefused, match="map_server has `gate relay`, so both would answer requests while both"):
-            require_arbiters(plan)
-    else:
-        require_arbiters(plan)
+    require_arbiters(plan)
 
 
 def test_what_cannot_be_done_yet_says_so() -> None:

@@ -523,7 +523,7 @@ def test_requests_of_which_the_successor_says_nothing_are_waited_for_and_named()
             sleep=asyncio.sleep,
             steady=steady,
         )
-        answering = SimpleNamespace(has_successor=True, undecided=lambda: ["request 1"])
+        answering = SimpleNamespace(has_successor=True, may_pass_on=True, undecided=lambda: ["request 1"])
         handlers._handovers = SimpleNamespace(answering=answering)
         assert handlers._stopping_seconds() > REQUESTS_SECONDS
         await handlers._finish_requests(steady() + int(REQUESTS_SECONDS * 1e9))

@@ -215,16 +215,21 @@ def test_both_write_on_a_private_topic_where_they_have_one_name() -> None:
     assert words.startswith("which instance writes on /talker/own")
 
 
-def test_between_the_api_and_a_node_without_it_both_answer() -> None:
+def test_between_the_api_and_a_node_without_it_both_answer_where_that_has_no_library() -> None:
     own, plain = ComponentSpec.of("Own", run="mapper"), ComponentSpec.of("Plain", run="mapper", gate="preload")
-    relayed = ComponentSpec.of("Relayed", run="mapper", gate="relay")
+    relayed, bare = (ComponentSpec.of("Other", run="mapper", gate=gate) for gate in ("relay", "none"))
     known = LastKnown(None, GOALS[3:4])
     (found,) = what_ended("mapper", own, known, planned=True, beside=plain)
-    assert "mapper and its replacement answer service /reset while both run" in found.words
+    assert "service /reset is answered by the replacement of mapper only if that offers it" in found.words
+    for other in (relayed, bare):
+        (found,) = what_ended("mapper", own, known, planned=True, beside=other)
+        assert "mapper and its replacement answer service /reset while both run" in found.words
     assert not list(what_ended("mapper", own, known, planned=True, beside=own))
     state = bare_state("mapper", node="/mapper", serves=[Endpoint(kind="service", name="/reset", serves=True)])
     known = LastKnown(LatestState(state, 0.0), ())
-    found, _ = what_ended("mapper", plain, known, planned=False, beside=own)
+    (found,) = what_ended("mapper", plain, known, planned=False, beside=own)
+    assert "service /reset was answered by the replacement of mapper only if that offers it" in found.words
+    found, _ = what_ended("mapper", bare, known, planned=False, beside=own)
     assert "mapper and its replacement answered service /reset while both run" in found.words
     (found,) = what_ended("mapper", relayed, LastKnown(None, ()), planned=True, beside=relayed)
     assert "each of the two answers the other services that both have" in found.words

@@ -848,7 +848,7 @@ declare namespace Api {
     late: Record<string, number>;
     /** new components that continue without the state of the old one: what is lost, and why */
     own_state: Record<string, string>;
-    /** by new node without Midstride's API: the state that has moved to it */
+    /** by new node, where it or the old one has no API: the state that has moved to it */
     moved: Record<string, StateMove>;
     /** by role that was replaced: what became of the goals of its ROS actions */
     goals: Record<string, GoalTally>;
@@ -1396,7 +1396,7 @@ declare namespace Api {
     specification: SpecificationForm;
   }
 
-  /** The state of a node without Midstride's API has moved to its replacement, and what waited for it. */
+  /** State has moved to a replacement, from or to a node without Midstride's API, and what waited for it. */
   interface StateMove {
     bytes: number;
     /** seconds from the last message of the old node to the first of the new one; null: none */

@@ -76,8 +76,9 @@ class ForeignCommands:
                 return await self._prepare_state(peer)
             case commands.OfferStateCommand():  # to a component, which would fetch it
                 return replies.StateOffer(exports="nothing")
-            case commands.YieldCommand():
-                return replies.Yielded(handled=[])
+            case commands.YieldCommand(instance=instance):
+                shared = None if self._node.requests is None else self._node.requests.share_requests(instance)
+                return replies.Yielded(handled=[], place=shared)
             case commands.DiscoverCommand():
                 return replies.Discovered(found=None)
             case _:

@@ -201,6 +201,8 @@ class GatedOutputs(UngatedOutputs):
             await self._node.comes_true(gates.take_unstated, PUBLISHING)
         if (other := page.answering(index)) is None:
             return replies.Answers()
+        if command.address is not None and (first := gates.to_be_joined(other)) is not None:
+            return replies.Answers(first=first)
         await self._peers_known(other, command.address, lambda: gates.has_clients_of(other))
         gates.answer(command.drain)
         await self._node.comes_true(lambda: gates.begun, command.drain)

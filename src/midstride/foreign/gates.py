@@ -22,8 +22,10 @@ from midstride.foreign.page_layout import (
     PortFlag,
     Within,
 )
+from midstride.foreign.sharing_components import has_joined, place, share_requests
 from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
+from midstride.wire.replies import SharedRequestsPlace
 
 # How many messages in a row must each have answered an input, for a node to count as one that answers messages.
 SEEN: Final = 2
@@ -249,6 +251,19 @@ class Gates:
         for index in (self.index, other):
             if index is not None:
                 self.page.ring(index)
+
+    def share_requests(self, instance: str) -> SharedRequestsPlace | None:
+        """Where the component ``instance``, with Midstride's API, joins to share the requests to this node.
+
+        None where this node has no library that claims any. Raises BackendError.
+        """
+        if not instance or not self.page.layout.nodes[self.index].pid:
+            return None
+        return place(self.page, share_requests(self.page, instance, self.index))
+
+    def to_be_joined(self, other: int) -> SharedRequestsPlace | None:
+        """Where the node ``other`` (index), a component, is to join first; None where it has, or is none."""
+        return None if has_joined(self.page, other) else place(self.page, other)
 
     def settings(self) -> list[KnownSetting]:
         """The requests to set parameters that this node has taken, in their order. Raises BackendError."""

@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 from midstride.errors import BackendError
 from midstride.foreign.page_layout import (
     BATONS,
+    HAS_AGENT,
     HEAD_SIZE,
     IN_USE,
     INPUT,
@@ -58,6 +59,8 @@ _SETTING: Final = struct.Struct("<qQ")
 GATES_FOLDER: Final = "gates"
 PAGE: Final = "page"
 
+# Until when it counts that a component shares requests, as long as it does (CLOCK_MONOTONIC, ns).
+FOR_EVER: Final = 2**63 - 1
 # A node that no process has joined as for so long (s) may be given to another: its manager had been killed meanwhile.
 JOINED_WITHIN: Final = 60
 
@@ -208,7 +211,11 @@ class Page:
     def index_of(self, instance: str) -> int | None:
         """The index of the node of ``instance``; of one that lives, as a broken-off hand-over may leave another."""
         name = instance.encode()[: NAME - 1]
-        found = [index for index, node in enumerate(self.layout.nodes) if node.used and node.instance == name]
+        found = [
+            index
+            for index, node in enumerate(self.layout.nodes)
+            if node.used and node.instance == name and not node.used & HAS_AGENT
+        ]
         return min(found, key=lambda index: not self._lives(index), default=None)
 
     def free(self, index: int) -> None:
@@ -277,6 +284,11 @@ class Page:
         self._step_requests(number, RequestsStep.GIVE, index)
         nodes[index].requests = number
 
+    def mix_requests(self, index: int) -> None:
+        """The node ``index`` is a component with Midstride's API, which claims requests one by one."""
+        self.layout.nodes[index].used |= HAS_AGENT
+        self._requests[self.layout.nodes[index].requests - 1].mixed = FOR_EVER
+
     def _step_requests(self, number: int, step: RequestsStep, index: int, until: int = 0) -> None:
         self._library.midstride_requests_step(self._address, self._file, number - 1, step, index + 1, until)
 
@@ -321,7 +333,7 @@ class Page:
 
         def serves(port: PagePort) -> bool:
             node = int(port.node) - 1
-            own = index in (None, node) and bool(port.endpoints)
+            own = index in (None, node) and bool(port.endpoints) and not self.layout.nodes[node].used & HAS_AGENT
             return own and (port.kind, port.topic) == (SERVER, name) and not self.is_dead(node)
 
         if known is not None and serves(known) and self.answering(known.node - 1) is None:

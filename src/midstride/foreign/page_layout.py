@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 17
+VERSION: Final = 18
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -28,6 +28,8 @@ GOALS: Final = 256
 ADDED: Final = 4
 # Of how many pairs of an output and a writer of what it answers is the last answer known for a role.
 ANSWERED: Final = 256
+# How many of the requests to a role's services are known one by one.
+KNOWN: Final = 4096
 # Of how many messages it is known that an input has received them.
 RECEIPTS: Final = 16384
 # Of how many messages of an output it is known when they were written.
@@ -41,8 +43,9 @@ UNUSED, OUTPUT, INPUT, SERVER, CLIENT, NODE = range(6)
 CLOSED, OPEN = range(2)
 # Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate. NAMES_ONE: a
 # `__node:=` for all nodes of the process names the first of them alone. LEAVES: it is about to be unloaded, and nothing
-# calls it any more.
-IN_USE, LISTS, NAMES_ONE, LEAVES = 1, 2, 4, 8
+# calls it any more. HAS_AGENT: it is a component with Midstride's API, which shares the requests to its services with a
+# node that has the library.
+IN_USE, LISTS, NAMES_ONE, LEAVES, HAS_AGENT = 1, 2, 4, 8, 16
 
 
 class PortFlag(IntFlag):
@@ -223,12 +226,15 @@ class PageRequests(ctypes.Structure):
         ("word", c_uint64),
         ("until", c_int64),
         ("paused", c_int64),
+        ("mixed", c_int64),
         ("shared", c_uint32),
-        ("spare", c_uint32 * 9),
+        ("knows", c_uint32),
+        ("spare", c_uint32 * 6),
         ("clients", PageClient * CLIENTS),
         ("goals", PageGoal * GOALS),
         ("added", PageAdded * ADDED),
         ("answered", PageAnswered * ANSWERED),
+        ("known", c_uint64 * KNOWN),
     ]
 
 

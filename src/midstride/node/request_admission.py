@@ -27,6 +27,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from midstride.node.accepted_goals import Goals
 from midstride.node.served_times import ServedTimes
+from midstride.node.shared_requests import BEFORE, SharedRequests
 
 # For how long (s) a request is held while admission is closed, and how many at most: a predecessor that answers has
 # done so by then.
@@ -39,6 +40,8 @@ REMEMBER: Final = 60.0
 REMEMBERED: Final = 10 * HELD
 # After how long (s) a request that is held is asked after at the successor: the two receive one request so far apart.
 PASS_AFTER: Final = 0.2
+# After how long (s) one that a successor without the API has not received is handled here all the same.
+LEFT_OVER: Final = 0.3
 # Requests about goals that look the same, of which one was handled by the predecessor and one is held here, are the
 # same one if they came at most so far apart (s of the steady clock, which two processes of one machine share).
 SAME: Final = 1.0
@@ -114,6 +117,9 @@ class RequestAdmission:
         self._answered: int | None = None  # when the last request was handled to the end
         self._paused = False
         self.yields = 0
+        # Where a node without the API has the same services: which of the two answers, and what is claimed.
+        self.shared: SharedRequests | None = None
+        self._claimed: set[str] = set()  # of the requests that are being handled, those that were claimed there
 
     def admit(
         self,
@@ -138,6 +144,12 @@ class RequestAdmission:
         with self._lock:
             if request in self._handled:
                 return False
+            if self.shared is not None and asks_for is None:
+                admitted = self._claims(self.shared, request, service, waited)
+                if admitted is None:
+                    self._held[request] = _Held(request, now, later, passable, service=service)
+                self._forget_old(now)
+                return bool(admitted)
             if self.is_open:
                 self._handled[request] = now
                 self._begin(request, service, asks_for, waited)
@@ -145,6 +157,71 @@ class RequestAdmission:
                 self._held[request] = _Held(request, now, later, passable, asks_for, service=service)
             self._forget_old(now)
             return self.is_open
+
+    def _claims(self, shared: SharedRequests, request: str, service: str, waited: float) -> bool | None:
+        """Return whether to handle ``request``, or the other one has; None where it is held. With the lock."""
+        if self._paused or not shared.answers():
+            shared.note_held(request)
+            return None
+        return self._claim(shared, request, service, waited)
+
+    def _claim(self, shared: SharedRequests, request: str, service: str, waited: float = 0.0) -> bool:
+        if not shared.claim(request):
+            return False
+        self._handled[request] = self._steady()
+        self._claimed.add(request)
+        self._begin(request, service, waited=waited)
+        return True
+
+    def share(self, shared: SharedRequests) -> None:
+        """Claim each request to a service from now on, and answer when ``shared`` says so. Call :meth:`look` often."""
+        with self._lock:
+            for request in list(self._handled)[-BEFORE:]:
+                if _is_to_a_service(request):
+                    shared.note_claimed(request)
+            for request, held in self._held.items():
+                if held.about is None and held.asks_for is None:
+                    shared.note_held(request)
+            self.shared = shared
+
+    def _is_shared(self, held: _Held) -> bool:
+        """Return whether it is claimed before it is handled, by :meth:`look`."""
+        return self.shared is not None and held.about is None and held.asks_for is None
+
+    def share_no_longer(self) -> None:
+        with self._lock:
+            self.shared = None
+            self._claimed.clear()
+
+    def look(self) -> bool:
+        """Handle what is held and is to be handled here now; whether admission has been opened or closed.
+
+        That is each request that the other one has not claimed, once this one answers; or, once the other one does,
+        what that has not received.
+        """
+        due = []
+        with self._lock:
+            if (shared := self.shared) is None:
+                return False
+            answers, now = not self._paused and shared.answers(), self._steady()
+            left = not answers and shared.answered_before()
+            for request, held in list(self._held.items()):
+                if not self._is_shared(held):
+                    continue
+                overdue = left and now - held.since > LEFT_OVER * 1e9 and not shared.held_by_other(request)
+                if answers or overdue or shared.claimed(request):
+                    del self._held[request]
+                    if (answers or overdue) and self._claim(shared, request, held.service):
+                        due.append(held)
+            self._forget_old(now)
+            changed = answers != self.is_open
+        for held in due:
+            held.handle()
+        if changed and answers:
+            self.open(())
+        elif changed:
+            self.close()
+        return changed
 
     def _begin(self, request: str, service: str, asks_for: str | None = None, waited: float = 0.0) -> None:
         """Note that ``request`` is being handled from now on. With the lock."""
@@ -237,6 +314,9 @@ class RequestAdmission:
         with self._lock:
             if request in self._unfinished:
                 del self._unfinished[request]
+                if request in self._claimed and self.shared is not None:
+                    self._claimed.discard(request)
+                    self.shared.answered()
                 if (times := self._timed.pop(request, None)) is not None:
                     times.ended(request)
                 self._answered = self._steady()
@@ -377,8 +457,9 @@ class RequestAdmission:
                 held
                 for held in self._held.values()
                 if (held in about if held.about is not None else handled is not None and held.request not in known)
+                and not self._is_shared(held)
             ]
-            self._held.clear()
+            self._held = OrderedDict((name, held) for name, held in self._held.items() if self._is_shared(held))
             self._left.update({goal: [] for goal in goals if goal not in self._left})
             for request in known:
                 self._handled[request] = now
@@ -391,6 +472,11 @@ class RequestAdmission:
             self.is_open, self._paused = True, False
         for held in due:
             held.handle()
+
+
+def _is_to_a_service(request: str) -> bool:
+    """Return whether ``request`` is no request for, or about, a goal."""
+    return request[:1].isdecimal() or request[:1] == "-"
 
 
 def _not_handled(held: Sequence[_Held], known: Iterable[str], within: float = SAME) -> list[_Held]:

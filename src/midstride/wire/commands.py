@@ -38,6 +38,7 @@ from midstride.wire.replies import (
     RecordingSwitched,
     Records,
     ServedRequest,
+    SharedRequestsPlace,
     SharedSlotPlace,
     StateOffer,
     Yielded,
@@ -434,6 +435,12 @@ class AnswerCommand(Command[Answers], frozen=True, kw_only=True, tag="answer"):
     address: str | None = None
 
 
+class JoinRequestsCommand(Command[Done], frozen=True, kw_only=True, tag="join_requests"):
+    """Share the requests to the services with a successor that has no API, at ``place``: it is to answer."""
+
+    place: SharedRequestsPlace
+
+
 class ReleaseCommand(Command[Done], frozen=True, kw_only=True, tag="release"):
     """A component started by hand leaves the system: last modes, no attachments, waiting for a manager."""
 
@@ -457,11 +464,12 @@ class CutTakenCommand(Command[Confirmed], frozen=True, kw_only=True, tag="taken"
 class YieldCommand(Command[Yielded], frozen=True, kw_only=True, tag="yield"):
     """From the instance that is to answer requests to the one that does: stop, and say which you have handled.
 
-    ``address`` is that of the instance that asks: what it does not receive is passed on to it.
+    ``address`` is that of the ``instance`` that asks: what it does not receive is passed on to it.
     """
 
     kind = "between"
     address: str
+    instance: str = ""
 
 
 class MissingRequestsCommand(Command[MissingRequests], frozen=True, kw_only=True, tag="missing_requests"):

@@ -25,10 +25,25 @@ class Done(WireValue, frozen=True, kw_only=True):
     """Carried out; there is nothing to report."""
 
 
+class SharedRequestsPlace(WireValue, frozen=True, kw_only=True):
+    """The part that a component gets in the page of the gates, to share the requests to its services with a node there.
+
+    ``page`` and ``library`` are files; ``index`` is that of its part.
+    """
+
+    page: str
+    library: str
+    index: int
+
+
 class Answers(WireValue, frozen=True, kw_only=True):
-    """The component answers requests; the peer that did so before has not answered ``outlasting`` that it had taken."""
+    """The component answers requests; the peer that did so before has not answered ``outlasting`` that it had taken.
+
+    ``first``: it does not yet; the peer is to join there before, and the command is then sent again.
+    """
 
     outlasting: int = 0
+    first: SharedRequestsPlace | None = None
 
 
 class Grid(WireValue, frozen=True, kw_only=True):
@@ -145,11 +160,11 @@ class LastWrite(WireValue, frozen=True, kw_only=True):
 
 
 class MovedState(WireValue, frozen=True, kw_only=True):
-    """State of so many ``bytes`` has moved between two nodes without Midstride's API.
+    """State of so many ``bytes`` has moved.
 
     ``silent``: for how long no message was published, from the last one of the old node to the first one of the new
-    one, on the topic where that was longest (s); None where none was published, or none is handed over. ``held``: for
-    how long requests to the services of both were held (s).
+    one, on the topic where that was longest (s); None where none was published, or none is handed over, and of a
+    component, which only knows its own part. ``held``: for how long requests to the services of both were held (s).
     """
 
     bytes: int
@@ -162,7 +177,8 @@ class CutResult(WireValue, frozen=True, kw_only=True):
 
     Old side: *done* once it has passed the cut and the new side has written; of a lifecycle node, once it is inactive.
     *waiting*: not finished in time.
-    ``because``: what was wrong with the transfer of state; ``moved``: what has moved, of nodes without the API.
+    ``because``: what was wrong with the transfer of state; ``moved``: what has moved; of two nodes without the API, the
+    new side says it, else the old side.
     ``by_input``: both answer messages, and each message is answered by one of them. ``out_of_step``: it was begun so,
     and one of the two has done otherwise before it was over.
     """
@@ -221,11 +237,13 @@ class RecordingSwitched(WireValue, frozen=True, kw_only=True):
 class Yielded(WireValue, frozen=True, kw_only=True):
     """The requests that the component has handled lately, each as every server of the service identifies it.
 
-    ``goals``: those of ROS actions that it has accepted, by UUID, and answers for from now on, too.
+    ``goals``: those of ROS actions that it has accepted, by UUID, and answers for from now on, too. ``place``: it does
+    not use Midstride's API, and answers until the successor has joined there, and takes over itself.
     """
 
     handled: list[str]
     goals: list[str] = []
+    place: SharedRequestsPlace | None = None
 
 
 class MissingRequests(WireValue, frozen=True, kw_only=True):

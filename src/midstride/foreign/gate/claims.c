@@ -1,7 +1,6 @@
 /* Which node answers a request, and that each request is answered by one: the steps of requests.h, in the page. */
 #include "serving.h"
 
-#include <sched.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -18,15 +17,23 @@ struct requests *requests_of(unsigned me)
   return number && number <= NODES ? requests_at(page, number - 1) : NULL;
 }
 
+static bool ended(struct page *shared, int file, unsigned index)
+{
+  uint32_t pid = atomic_load(&shared->nodes[index - 1].pid);
+  return pid && pid != (uint32_t)getpid() && is_dead(file, index);
+}
+
 bool has_ended(unsigned index)
 {
-  uint32_t pid = atomic_load(&page->nodes[index - 1].pid);
-  return pid && pid != (uint32_t)getpid() && is_dead(descriptor, index);
+  return ended(page, descriptor, index);
 }
 
 /* Whether the node `other` (index + 1) has the service of `entry`, too. */
 static bool has_service(unsigned other, const struct entry *entry)
 {
+  const struct node *component = &page->nodes[other - 1];
+  if (atomic_load(&component->used) & HAS_AGENT && !atomic_load(&component->pid)) /* it has not said which it has */
+    return entry->service == OTHER;
   for (unsigned index = 0; index < atomic_load(&page->head.room); index++) {
     struct port *port = &page->ports[index];
     if (atomic_load(&port->node) == other && atomic_load(&port->kind) == SERVER && atomic_load(&port->endpoints) &&
@@ -36,29 +43,34 @@ static bool has_service(unsigned other, const struct entry *entry)
   return false;
 }
 
-bool answers(struct requests *requests, const struct entry *entry)
+unsigned answers_before(struct page *shared, int file, struct requests *requests, unsigned me)
 {
-  unsigned me = entry->me;
-  int64_t paused = atomic_load(&requests->paused);
-  if (paused && now_ns() < paused)
-    return false;
   uint64_t word = atomic_load(&requests->word), next;
   do {
     unsigned before = BEFORE(word);
     if (ANSWERING(word) == me) {
       if (word & BEGUN)
-        return true;
-      if (before && atomic_load(&page->nodes[before - 1].unanswered) && now_ns() < atomic_load(&requests->until) &&
-          !has_ended(before))
-        return !has_service(before, entry);
+        return 0;
+      if (before && atomic_load(&shared->nodes[before - 1].unanswered) && now_ns() < atomic_load(&requests->until) &&
+          !ended(shared, file, before))
+        return before;
       next = word | BEGUN;
-    } else if (before == me && has_ended(ANSWERING(word))) {
+    } else if (before == me && ended(shared, file, ANSWERING(word))) {
       next = requests_take_back(word, me);
     } else {
-      return !has_service(ANSWERING(word), entry);
+      return ANSWERING(word);
     }
   } while (!atomic_compare_exchange_weak(&requests->word, &word, next));
-  return true;
+  return 0;
+}
+
+bool answers(struct requests *requests, const struct entry *entry)
+{
+  int64_t paused = atomic_load(&requests->paused);
+  if (paused && now_ns() < paused)
+    return false;
+  unsigned other = answers_before(page, descriptor, requests, entry->me);
+  return !other || !has_service(other, entry);
 }
 
 uint64_t client_key(const struct request_id *id)
@@ -68,11 +80,7 @@ uint64_t client_key(const struct request_id *id)
 
 void lock_places(struct requests *requests, enum places places, short type)
 {
-  struct flock whole = {.l_type = type, .l_whence = SEEK_SET, .l_len = 1};
-  whole.l_start = NODES * places + (requests - requests_at(page, 0));
-  int64_t deadline = now_ns() + LOOK;
-  while (fcntl(descriptor, F_SETLK, &whole) != 0 && now_ns() < deadline)
-    sched_yield();
+  lock_part(descriptor, requests, requests_at(page, 0), places, type);
 }
 
 static struct client *find_client(struct requests *requests, uint64_t key)
@@ -118,7 +126,8 @@ struct client *client_of(struct requests *requests, uint64_t key)
   return found;
 }
 
-bool claim_request(struct requests *requests, const struct request_id *id, bool only_look)
+/* Claim a request by its number at its client. */
+static bool claim_number(struct requests *requests, const struct request_id *id, bool only_look)
 {
   uint64_t key = client_key(id);
   for (;;) {
@@ -135,6 +144,23 @@ bool claim_request(struct requests *requests, const struct request_id *id, bool 
       }
     }
   }
+}
+
+bool claim_request(struct requests *requests, const struct request_info *info, bool only_look)
+{
+  uint64_t claimed = identity_of(info->sent, info->id.number) | CLAIMED;
+  uint32_t own = only_look ? NOWHERE : note_known(requests, claimed);
+  if (is_mixed(requests)) {
+    if (!only_look) { /* a component may be between its look and its note */
+      pthread_mutex_lock(&client_lock);
+      lock_places(requests, OF_KNOWN, F_WRLCK);
+      lock_places(requests, OF_KNOWN, F_UNLCK);
+      pthread_mutex_unlock(&client_lock);
+    }
+    if (is_known(requests, claimed, own))
+      return false;
+  }
+  return claim_number(requests, &info->id, only_look);
 }
 
 void note_seen(struct requests *requests, unsigned me, const struct request_id *id)

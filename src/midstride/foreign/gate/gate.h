@@ -47,6 +47,11 @@ struct port *claim_port(struct page *shared, int file, unsigned own);
 void free_port(struct port *port);
 /* The part of a node (index from 0) in the page is free, and its ports are. */
 EXPORT void midstride_free(struct page *shared, unsigned index);
+/* The steps of the manager, and of a component, with the requests of a role (number from 0); each returns the word after it.
+ * GIVE_REQUESTS: `node` (index + 1) is to answer, and the one before has until `until` for what it has taken. */
+enum requests_step { GIVE_REQUESTS, FORGET };
+EXPORT uint64_t midstride_requests_step(struct page *shared, int file, unsigned number, int step, unsigned node,
+                                        int64_t until);
 /* Have the helper thread of a node look at once. */
 EXPORT void midstride_ring(struct page *shared, unsigned index);
 

@@ -71,6 +71,9 @@ void hold_request(struct entry *entry, const struct request_info *info, const vo
     free_held(held);
     return;
   }
+  struct requests *requests = requests_of(entry->me);
+  if (requests && is_mixed(requests))
+    note_known(requests, identity_of(info->sent, info->id.number));
   pthread_mutex_lock(&lock);
   if (append(entry, held) == MOST_HELD)
     surplus = unlink_held(entry, &entry->held);
@@ -121,10 +124,10 @@ static struct held *due(struct entry *entry, struct requests *requests)
     if (held->claimed) {
       found = unlink_held(entry, place);
     } else if (turn != ANSWER) {
-      if (turn == ADD && claim_request(requests, &held->info.id, true))
+      if (turn == ADD && claim_request(requests, &held->info, true))
         found = copied_to_add(held);
       place = &held->next;
-    } else if (begin_request(requests, entry, &held->info.id, &held->subject, now_ns(), &held->taken)) {
+    } else if (begin_request(requests, entry, &held->info, &held->subject, now_ns(), &held->taken)) {
       found = unlink_held(entry, place);
     } else {
       held = unlink_held(entry, place);
@@ -193,16 +196,17 @@ static uint32_t look_at_held(struct entry *entry, struct requests *requests)
   uint64_t word = atomic_load(&requests->word);
   for (struct held **place = &entry->held; *place;) {
     struct held *held = *place;
-    if (!held->claimed && (is_over(requests, entry, held) || !claim_request(requests, &held->info.id, true))) {
+    if (!held->claimed && (is_over(requests, entry, held) || !claim_request(requests, &held->info, true))) {
       free_held(unlink_held(entry, place));
       continue;
     }
     if (!held->claimed && BEFORE(word) == entry->me && now - held->at > LEFT_OVER) {
       uint64_t seen = atomic_load(&client_of(requests, client_key(&held->info.id))->seen);
       bool received = seen >> 48 == ANSWERING(word) && seen <= SEEN(ANSWERING(word), held->info.id.number);
+      received |= is_known(requests, identity_of(held->info.sent, held->info.id.number) | ARRIVED, NOWHERE);
       /* As if this node answered: what is about a goal of its successor is still that one's. */
       bool own = turn_with(requests, entry, &held->subject, &held->info.id, held->at, held->added, true) == ANSWER;
-      if (!received && own && begin_request(requests, entry, &held->info.id, &held->subject, now, &held->taken))
+      if (!received && own && begin_request(requests, entry, &held->info, &held->subject, now, &held->taken))
         held->claimed = true;
     }
     waiting += !held->claimed;

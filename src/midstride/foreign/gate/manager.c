@@ -78,10 +78,6 @@ EXPORT unsigned midstride_claim(struct page *shared, int file, unsigned index)
   return port ? (unsigned)(port - shared->ports) + 1 : 0;
 }
 
-/* The manager's steps with the requests of a role (number from 0); each returns the word after it. GIVE_REQUESTS: `node`
- * (index + 1) is to answer, and the one before has until `until` for what it has taken. */
-enum requests_step { GIVE_REQUESTS, FORGET };
-
 EXPORT uint64_t midstride_requests_step(struct page *shared, int file, unsigned number, int step, unsigned node,
                                         int64_t until)
 {

@@ -10,6 +10,9 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+/* For how long a request may still be held that a component has claimed, which shares the role no longer (ns). */
+#define LATE INT64_C(10000000000)
+
 static size_t length_with(unsigned ports)
 {
   return sizeof(struct page) + ports * sizeof(struct port);
@@ -90,6 +93,8 @@ EXPORT void midstride_free(struct page *shared, unsigned index)
     if (atomic_load(&answered->by) == index + 1) /* nor has it given its answers */
       atomic_store(&answered->by, 0);
   }
+  if (number && number <= NODES && atomic_load(&shared->nodes[index].used) & HAS_AGENT)
+    atomic_store(&requests_at(shared, number - 1)->mixed, now_ns() + LATE);
   atomic_store(&shared->nodes[index].requests, 0);
   atomic_store(&shared->nodes[index].used, 0);
 }

@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 17 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 18 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -27,6 +27,7 @@
 #define CLIENTS 512 /* how many clients of its services are known for a role at once */
 #define GOALS 256 /* how many goals of its ROS actions are known for a role at once */
 #define ADDED 4 /* how many requests to cancel many goals can be under way at two nodes of a role at once */
+#define KNOWN 4096 /* how many of the requests to a role's services are known one by one */
 #define ANSWERED 256 /* of how many pairs of an output and a writer of what it answers is the last answer known for a role */
 #define LATEST 8 /* of how many requests that a server has answered it is known how long each took */
 #define WRITES 128 /* of how many messages of an output it is known when they were written */
@@ -41,8 +42,9 @@ enum { CLOSED = 0, OPEN = 1 };  /* of a port: gate */
  * KEPT_OUT: one would have; TAKES_PART: one does. */
 enum { KEEP_OUT = 1, KEPT_OUT = 2, TAKES_PART = 4 };
 /* Of a node. LISTS: the library adds a port for each topic, open. NAMES_ONE: a `__node:=` that is for all nodes of the
- * process names the first of them alone. LEAVES: it is about to be unloaded from a process that goes on. */
-enum { IN_USE = 1, LISTS = 2, NAMES_ONE = 4, LEAVES = 8 };
+ * process names the first of them alone. LEAVES: it is about to be unloaded from a process that goes on. HAS_AGENT: it is a
+ * component with Midstride's API, which shares the requests to its services with a node that has the library. */
+enum { IN_USE = 1, LISTS = 2, NAMES_ONE = 4, LEAVES = 8, HAS_AGENT = 16 };
 
 struct port {
   _Atomic uint32_t kind;
@@ -201,12 +203,16 @@ struct requests {
   _Atomic uint64_t word;   /* which node answers */
   _Atomic int64_t until;   /* how long the one before has for what it has taken: CLOCK_MONOTONIC, ns */
   _Atomic int64_t paused;  /* until when no node takes any, since state moves from one to the other; 0: not paused */
+  /* Until when one of the nodes is a component with Midstride's API (known.c): CLOCK_MONOTONIC, ns; 0: none is. */
+  _Atomic int64_t mixed;
   _Atomic uint32_t shared; /* whether two nodes have them */
-  uint32_t spare[9];
+  _Atomic uint32_t knows;  /* how many were put into `known`, in all */
+  uint32_t spare[6];
   struct client clients[CLIENTS];
   struct goal goals[GOALS];
   struct added added[ADDED];
   struct answered answered[ANSWERED];
+  _Atomic uint64_t known[KNOWN]; /* the last ones, by identity_of() and flags; that of number n is at n % KNOWN */
 };
 
 struct page {

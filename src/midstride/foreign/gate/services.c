@@ -59,7 +59,7 @@ EXPORT int rcl_service_set_on_new_request_callback(const void *service, void (*c
 
 /* Of the two functions that take a request, one may call the other: then that one knows when the request was received. */
 static _Thread_local bool taking;
-static _Thread_local int64_t received;
+static _Thread_local int64_t received, sent;
 
 /* A clock that is set by more than this between the arrival of a request and its being taken is noticed (ns). */
 #define LONGEST_WAIT INT64_C(60000000000)
@@ -82,8 +82,11 @@ static int take_new(const void *service, struct request_info *info, void *reques
 {
   int result = with_info ? real_rcl_take_request_with_info()(service, info, request)
                          : real_rcl_take_request()(service, &info->id, request);
-  if (with_info && result == 0)
+  if (with_info && result == 0) {
     received = info->received;
+    sent = info->sent;
+  }
+  info->sent = sent;
   return result;
 }
 
@@ -109,13 +112,13 @@ static int take_for(struct entry *entry, const void *service, struct request_inf
   struct taken *taken = NULL;
   switch (turn_with(requests, entry, &subject, &info->id, now_ns(), false, answers(requests, entry))) {
   case ANSWER:
-    if (!begin_request(requests, entry, &info->id, &subject, arrival(received), &taken))
+    if (!begin_request(requests, entry, info, &subject, arrival(received), &taken))
       return NO_REQUEST;
     remember(entry, taken);
     note_setting(entry, request);
     return 0;
   case ADD:
-    if (!claim_request(requests, &info->id, true) || !(taken = calloc(1, sizeof *taken)))
+    if (!claim_request(requests, info, true) || !(taken = calloc(1, sizeof *taken)))
       return NO_REQUEST;
     *taken = (struct taken){.id = info->id, .subject = subject, .adds = true};
     hold_request(entry, info, request, &subject, true);
@@ -139,7 +142,7 @@ static int take_request(const void *service, struct request_info *info, void *re
   end_input();
   begin_call(entry ? entry->me : 0);
   taking = true;
-  received = 0;
+  received = sent = 0;
   int result = entry ? take_for(entry, service, info, request, with_info) : take_new(service, info, request, with_info);
   taking = false;
   if (result != 0)

@@ -2,7 +2,7 @@
 #ifndef MIDSTRIDE_SERVING_H
 #define MIDSTRIDE_SERVING_H
 
-#include "gate.h"
+#include "known.h"
 
 #pragma GCC visibility push(hidden)
 
@@ -46,13 +46,12 @@ struct held {
 bool is_asked(const struct request_id *id);
 /* Those of the role of the node `me` (index + 1); NULL where it answers each that arrives. */
 struct requests *requests_of(unsigned me);
-/* What has places in the part of a role, which processes take one after the other; the locks of the nodes come first. */
-enum places { OF_CLIENTS = 1, OF_ANSWERS };
-/* Have the other processes wait (F_WRLCK), or go on. The kernel releases the lock of one that dies; one that is stopped while
- * it has the lock is not waited for. */
+/* lock_part() of the page of this process. */
 void lock_places(struct requests *requests, enum places places, short type);
 /* Whether the process of the node `index` (+ 1) has ended. A process does not see its own locks. */
 bool has_ended(unsigned index);
+/* Which other node (index + 1) answers the requests to a role before the node `me` does; 0: this one does. */
+unsigned answers_before(struct page *shared, int file, struct requests *requests, unsigned me);
 /* Whether the node of `entry` answers the requests to its service now. */
 bool answers(struct requests *requests, const struct entry *entry);
 /* What distinguishes a client, from the identity of its writer; not 0. */
@@ -60,7 +59,7 @@ uint64_t client_key(const struct request_id *id);
 /* The part of a client. Where all are used, it is that of the one from which nothing has been heard for longest. */
 struct client *client_of(struct requests *requests, uint64_t key);
 /* Claim a request; whether this call was the first to do so. `only_look`: do not. */
-bool claim_request(struct requests *requests, const struct request_id *id, bool only_look);
+bool claim_request(struct requests *requests, const struct request_info *info, bool only_look);
 /* Note the first request of a client that a successor has received: it receives all later ones, and the node before it
  * answers only what came earlier. */
 void note_seen(struct requests *requests, unsigned me, const struct request_id *id);
@@ -115,7 +114,7 @@ void cancel_all(struct entry *entry);
 /* Claim a request for the node of `entry`, which has had to answer it since `since`; false where it has been claimed.
  * `taken`: what is to be remembered of it until it is answered, NULL for that of any other service than those of a ROS
  * action. */
-bool begin_request(struct requests *requests, struct entry *entry, const struct request_id *id,
+bool begin_request(struct requests *requests, struct entry *entry, const struct request_info *info,
                    const struct subject *subject, int64_t since, struct taken **taken);
 /* Remember what the node has taken until it answers. */
 void remember(struct entry *entry, struct taken *taken);

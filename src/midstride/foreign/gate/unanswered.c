@@ -70,13 +70,14 @@ static void answering(struct entry *entry, const struct request_id *id, int64_t 
   note_taken(entry, id, since);
 }
 
-bool begin_request(struct requests *requests, struct entry *entry, const struct request_id *id,
+bool begin_request(struct requests *requests, struct entry *entry, const struct request_info *info,
                    const struct subject *subject, int64_t since, struct taken **taken)
 {
+  const struct request_id *id = &info->id;
   uint32_t port = (uint32_t)(entry->port - page->ports) + 1;
   struct goal *goal = entry->service == SEND_GOAL ? reserve_goal(requests, entry->me, port, subject->goal) : NULL;
   *taken = NULL;
-  if (!claim_request(requests, id, false)) {
+  if (!claim_request(requests, info, false)) {
     if (goal)
       step_goal(goal, entry->me, REJECT);
     return false;

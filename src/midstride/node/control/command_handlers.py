@@ -125,6 +125,7 @@ class CommandHandlers:
             commands.FenceCommand: self._fencing.fence,
             commands.AnswerCommand: self._handovers.answer,
             commands.YieldCommand: self._handovers.answering.stop,
+            commands.JoinRequestsCommand: self._handovers.answering.join,
             commands.MissingRequestsCommand: self._handovers.answering.missing,
             commands.ServeCommand: self._handovers.answering.serve,
             commands.CancelledGoalsCommand: self._handovers.answering.cancelled_goals,
@@ -242,7 +243,7 @@ class CommandHandlers:
     @property
     def _may_pass_on(self) -> bool:
         """True where another instance answers instead, and a client that called lately may not have discovered it."""
-        return self._handovers.answering.has_successor and self.host.admission.answered_within(CALLED_WITHIN)
+        return self._handovers.answering.may_pass_on and self.host.admission.answered_within(CALLED_WITHIN)
 
     async def _finish_goals(self) -> None:
         """Where a successor takes new goals, go on with its own until they have ended; then leave their results to it.

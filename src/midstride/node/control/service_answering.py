@@ -15,7 +15,8 @@ from typing import Any, Final
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, MidstrideError, Unreachable
 from midstride.model.wording import counted
-from midstride.node.request_admission import PASS_AFTER, PassableRequest, RequestAdmission
+from midstride.node.request_admission import HOLD, PASS_AFTER, PassableRequest, RequestAdmission
+from midstride.node.shared_requests import RequestsSlot
 from midstride.wire import commands, replies
 from midstride.wire.channel import result_of
 from midstride.wire.commands import Command
@@ -28,6 +29,8 @@ YIELD_ATTEMPTS: Final = 3
 # has to say about them.
 PASS_INTERVAL: Final = 0.1
 MISSING_TIMEOUT: Final = 0.5
+# How often it is looked which of two nodes answers that share their requests (s).
+SHARE_INTERVAL: Final = 0.02
 # How long the response to a request that was passed on may take (s).
 SERVE_TIMEOUT: Final = 10.0
 # How often a successor looks whether the predecessor, which answers for its goals, still runs (s).
@@ -49,17 +52,70 @@ class Answering:
     start: Callable[[Coroutine[Any, Any, None]], object]
     sleep: Callable[[float], Awaitable[None]]
     own_address: Callable[[], str]
+    instance: str = ""
     # The address of the instance that answers instead; None while none does.
     _successor: str | None = field(default=None, init=False)
+    # Where the requests are shared with a node without the API.
+    _page: RequestsSlot | None = field(default=None, init=False)
 
     async def answer(self, command: commands.AnswerCommand) -> replies.Answers:
         if not self.admission.is_open:
+            if self._page is not None:
+                return await self._answer_instead(self._page, command.drain)
             found = None if command.address is None else await self._yielded(command.peer, command.address)
+            if found is not None and found.place is not None:
+                return await self._answer_instead(self._join(found.place), command.drain)
             if found is not None:
                 self._open(found.handled, found.goals, command.address or "")
             else:  # where this one is paused, no other one has begun
                 self.admission.open(() if self.admission.is_paused else None)
         return replies.Answers()
+
+    # -- requests that a node without the API shares ------------------------------------------------
+
+    async def join(self, command: commands.JoinRequestsCommand) -> replies.Done:
+        """A successor without the API is to answer: claim each request from now on, until it does."""
+        self._join(command.place)
+        return replies.Done()
+
+    def _join(self, place: replies.SharedRequestsPlace) -> RequestsSlot:
+        if self._page is not None and self._page.place == place:
+            return self._page
+        self._leave()
+        self._page = page = RequestsSlot(place)
+        page.serve(set(self.admission.passed_handlers))
+        self.admission.share(page)
+        self.start(self._share(page))
+        return page
+
+    def _leave(self) -> None:
+        if self._page is not None:
+            page, self._page = self._page, None
+            self.admission.share_no_longer()
+            page.leave()
+
+    async def _share(self, page: RequestsSlot) -> None:
+        """Until the other one has been gone for so long that nothing arrives that it may have claimed."""
+        alone = 0.0
+        while self._page is page and alone < HOLD:
+            page.serve(set(self.admission.passed_handlers))
+            if self.admission.look():
+                self.changed()
+            alone = alone + SHARE_INTERVAL if page.is_alone else 0.0
+            await self.sleep(SHARE_INTERVAL)
+        if self._page is page:
+            self._leave()
+
+    async def _answer_instead(self, page: RequestsSlot, drain: float) -> replies.Answers:
+        """Answer once the other one has answered what it has taken, or ``drain`` (s) is over."""
+        page.answer(drain)
+        waited = 0.0
+        while not page.answers() and waited < drain:
+            await self.sleep(SHARE_INTERVAL)
+            waited += SHARE_INTERVAL
+        left = page.left_before
+        self.admission.look()
+        return replies.Answers(outlasting=left)
 
     def _open(self, handled: list[str], goals: list[str], address: str) -> None:
         """Answer from now on. The instance at ``address``, the predecessor, goes on with these ``goals``."""
@@ -69,6 +125,7 @@ class Answering:
 
     def pause(self) -> bool:
         """Answer no request for now: the state is about to be exported. Whether this one answered until now."""
+        self._leave()
         was_open = self.admission.pause()
         if was_open:
             self.changed()
@@ -104,7 +161,7 @@ class Answering:
 
         Raises CommandRefused if it may still answer.
         """
-        stop = commands.YieldCommand(address=self.own_address())
+        stop = commands.YieldCommand(address=self.own_address(), instance=self.instance)
         for _ in range(YIELD_ATTEMPTS):
             try:
                 return result_of(await self.call(address, stop, YIELD_TIMEOUT), stop)
@@ -117,6 +174,7 @@ class Answering:
 
     async def stop(self, command: commands.YieldCommand) -> replies.Yielded:
         """From the successor. Asked again, it gives the same reply: the first may be lost."""
+        self._leave()
         handled = self.admission.close()
         if command.address:
             self.pass_on_to(command.address)
@@ -143,9 +201,14 @@ class Answering:
         """Return whether another instance answers instead."""
         return self._successor is not None
 
+    @property
+    def may_pass_on(self) -> bool:
+        """Return whether this instance sees to requests that the one that answers instead does not receive."""
+        return self.has_successor or (self._page is not None and self._page.answered_before())
+
     def undecided(self) -> list[str]:
         """Return the requests of which it is not known yet whether the successor has received them."""
-        return [] if self._successor is None else list(self.admission.passable())
+        return list(self.admission.passable()) if self.may_pass_on else []
 
     async def _pass_on(self, address: str) -> None:
         while self._successor == address:
@@ -164,13 +227,17 @@ class Answering:
         if not held:
             return
         question = commands.MissingRequestsCommand(requests=list(held))
-        # It is asked again, as long as they are held: also where it does not answer requests yet.
-        with contextlib.suppress(BackendError, CommandRefused):
+        try:
             missing = result_of(await self.call(address, question, MISSING_TIMEOUT), question).requests
-            self.admission.give_up(held.keys() - set(missing))
-            for request in missing:
-                if request in overdue and self.admission.pass_on(request):
-                    self.start(self._pass(request, overdue[request], address))
+        except Unreachable:  # it has exited, and may have handled them
+            self.admission.give_up(held)
+            return
+        except (BackendError, CommandRefused):
+            return  # it is asked again, as long as they are held: also where it does not answer requests yet
+        self.admission.give_up(held.keys() - set(missing))
+        for request in missing:
+            if request in overdue and self.admission.pass_on(request):
+                self.start(self._pass(request, overdue[request], address))
 
     async def _pass(self, request: str, passable: PassableRequest, address: str) -> None:
         serve = commands.ServeCommand(

@@ -258,8 +258,9 @@ class CutOutTask(_CutTask):
         await self._reclaim_freed()
 
     def result(self) -> CutResult:
-        because = None if self.export is None else self.export.because
-        return CutResult(outcome=self.outcome, because=because, last=self.side.last())
+        if (export := self.export) is None:
+            return CutResult(outcome=self.outcome, last=self.side.last())
+        return CutResult(outcome=self.outcome, because=export.because, moved=export.moved, last=self.side.last())
 
 
 @dataclass(eq=False)

@@ -74,6 +74,7 @@ class HandoverCommands:
             partial(self._start, among=self._passing),
             self.host.sleep,
             self._own_address,
+            self.host.instance,
         )
 
     def _own_address(self) -> str:
@@ -258,7 +259,8 @@ class HandoverCommands:
         last = {name: write for result in results for name, write in result.last.items()}
         first = {name: write for result in results for name, write in result.first.items()}
         because = next((result.because for result in results if result.because is not None), None)
-        return replies.CutResult(outcome=outcome, because=because, last=last, first=first)
+        moved = next((result.moved for result in results if result.moved is not None), None)
+        return replies.CutResult(outcome=outcome, because=because, moved=moved, last=last, first=first)
 
     async def taken(self, command: commands.CutTakenCommand) -> replies.Confirmed:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""

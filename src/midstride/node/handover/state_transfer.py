@@ -160,6 +160,10 @@ class StateExport(_Transfer):
     _since: int = field(default=0, init=False)
     _imported: bool = field(default=False, init=False)
     _resumed: bool = field(default=False, init=False)
+    # How many bytes were exported; when requests were held from, and until when (steady, ns).
+    _bytes: int | None = field(default=None, init=False)
+    _held_from: int = field(default=0, init=False)
+    _held_until: int = field(default=0, init=False)
     _held: asyncio.Event = field(default_factory=asyncio.Event, init=False)
     _decided: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
@@ -196,11 +200,13 @@ class StateExport(_Transfer):
         try:
             if await within(self.host, self._quiet(), self.transfer.timeout) is None:
                 raise CommandRefused(f"user code did not return within {self.transfer.timeout:.3g} s")
+            self._held_from = self.host.steady()
             self._answered = self.answering.pause()
             await within(self.host, self._requests_answered(), REQUEST_PATIENCE)
             self._state = await self.hooks.export(self.transfer.timeout, self.transfer.changes)
         except CommandRefused as error:
             self.because = self.because or str(error)
+        self._bytes = None if self._state is None else len(self._state)
         self._heard_at = self.host.steady() + int(len(self._state or b"") * TRANSIT_PER_BYTE * 1e9)
         self._decided.set()
 
@@ -243,10 +249,17 @@ class StateExport(_Transfer):
         if not self._resumed:
             self._heard_at = max(self.host.steady(), self.heard_at)
             if done and not self._imported:
-                self._imported = True
+                self._imported, self._held_until = True, self.host.steady()
                 if self._answered:
                     self.answering.state_moved(self.transfer.address)
         return replies.Confirmed(resumed=self._resumed)
+
+    @property
+    def moved(self) -> replies.MovedState | None:
+        """The state that the new side has; None where it has none of this one."""
+        if self._bytes is None or not self._imported or self._resumed:
+            return None
+        return replies.MovedState(bytes=self._bytes, silent=None, held=(self._held_until - self._held_from) / 1e9)
 
     def end(self, cut: object, resumed: bool) -> None:
         """A cut has ended. Once all have, calls are no longer held back."""

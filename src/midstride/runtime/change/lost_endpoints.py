@@ -126,8 +126,8 @@ def what_ended(
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
     two nodes with the library in their processes, the successor goes on with each service and ROS action; where it has
-    another name, not with those below the old one. The old one goes on with the goals that it has accepted, as does a
-    component with the API beside another one.
+    another name, not with those below the old one. Where one of the two has the API, it goes on with each service. The
+    old one goes on with the goals that it has accepted, as does a component with the API beside another one.
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     if component.gate == "relay":  # which answers for its program, and not of it
@@ -145,21 +145,23 @@ def what_ended(
             yield change_facts.goals_go_on(name, goals, component.stop_times.patience)
     both = [f"service {each.name}" for each in own if each.kind == "service" and each.serves]
     if both and beside is not None and component.gate is None and beside.gate is not None:
-        yield change_facts.answered_by_both(name, both, planned=planned)
+        facts = change_facts.answered_if_offered if beside.preloads else change_facts.answered_by_both
+        yield facts(name, both, planned=planned)
     called = [f"{each.kind} {each.name}" for each in own if each.kind != "topic" and not each.serves]
     if state is not None:
         if state.starting:
             yield change_facts.management_unknown(name, state.starting, planned=planned)
         shared = [] if beside is None else shared_services(state)
-        actions = [] if beside is None else shared_actions(state)
         hands_over = _hands_over(state, component, beside)
+        actions = [] if beside is None or beside.gate is None else shared_actions(state)
         goes_on = [*shared, *actions] if hands_over else []
         if shared and not goes_on and component.gate is not None:
             yield change_facts.answered_by_both(name, shared, planned=planned)
         if goes_on and actions and planned:
             yield change_facts.goals_go_on(name, actions, component.stop_times.patience)
         ending = [each.words for each in state.serves if each.words not in goes_on]
-        if state.lifecycle_callers and not (hands_over and state.keeps_name):
+        keeps = hands_over and state.keeps_name and beside is not None and beside.loads_library
+        if state.lifecycle_callers and not keeps:
             ending.append(f"each of its lifecycle services (called by {assessment.listed(state.lifecycle_callers)})")
         if ending:
             yield change_facts.ends_with(name, ending, planned=planned)
@@ -173,9 +175,11 @@ def what_ended(
 def _hands_over(state: ComponentState, old: ComponentSpec, new: ComponentSpec | None) -> bool:
     """Return whether the library hands over the requests of a node in ``state`` to its successor.
 
-    Where it is loaded for the services alone, a node runs also if its program is one that it has no effect on.
+    That has it, too, or the API. Where it is loaded for the services alone, a node runs also if its program is one that
+    it has no effect on.
     """
-    return new is not None and old.loads_library and new.loads_library and (old.preloads or state.keeps_name)
+    shares = new is not None and (new.loads_library or new.gate is None)
+    return shares and old.loads_library and (old.preloads or state.keeps_name)
 
 
 def shared_services(state: ComponentState) -> list[str]:

@@ -63,19 +63,20 @@ def require_answering(configuration: Configuration, swap: Swap) -> None:
     """Raises StepFailed where requests to the service or ROS action of ``swap`` cannot be handed over.
 
     Components with the API, and relays, have each request answered by one of the instances of a node, and so has the
-    preloaded library (docs/protocols/services.md).
+    preloaded library; also between the two kinds, but for ROS actions (docs/protocols/services.md).
     """
     old, new = swap.old.instance, swap.new.instance
     components = {name: configuration.component(name) for name in (old, new)}
     words = f"{old} cannot hand over {swap.connector} to {new}"
-    if not all(each.has_agent for each in components.values()):
-        both = "so both would answer requests while both run"
-        if (own := next((name for name, each in components.items() if each.gate is None), None)) is not None:
-            how = f"{own} uses Midstride's API, and the other one does not, {both}"
-            raise StepFailed(f"{words}: {how}; use `gate relay` for that one, or `--strategy paper`")
-        if (loose := next((name for name, each in components.items() if not each.loads_library), None)) is not None:
-            how = f"{loose} has `gate {components[loose].gate}`, {both}"
-            raise StepFailed(f"{words}: {how}; use `gate preload`, or `--strategy paper`")
+    decided = (name for name, each in components.items() if not (each.has_agent or each.loads_library))
+    if (loose := next(decided, None)) is not None:
+        how = f"{loose} has `gate {components[loose].gate}`, so both would answer requests while both run"
+        raise StepFailed(f"{words}: {how}; use `gate preload`, or `--strategy paper`")
+    inside = {name for name, each in components.items() if each.loads_library}
+    if len(inside) == 1 and components[old].kind_of(swap.old.port) == "action":
+        (plain,) = inside
+        how = f"{plain} has `gate {components[plain].gate}`, and the other one has not, so both would execute each goal"
+        raise StepFailed(f"{words}: {how}; use `gate relay` for {plain}, or `--strategy paper`")
     if configuration.instances[old].role != configuration.instances[new].role:
         roles = " and ".join(configuration.instances[name].role for name in (old, new))
         how = f"they are instances of different nodes ({roles}), and only those of one node share its requests"

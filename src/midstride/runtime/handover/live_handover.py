@@ -422,7 +422,7 @@ class LiveHandover:
             # A new side that has published, and is still reporting it, has taken over if the old one knows.
             if incoming.outcome not in ("done", "waiting") or outgoing.outcome != "done":
                 raise OldSideFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
-            self.states.ended(cut, incoming)
+            self.states.ended(cut, incoming, outgoing)
             if incoming.by_input:
                 words = f"{cut.new} took over from {cut.old} between two messages: each was answered by one of them"
                 self.events.add("note", words)

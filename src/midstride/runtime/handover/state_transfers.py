@@ -71,8 +71,24 @@ def has_left_state(instance: Instance) -> str:
     return f"{instance.name} has the state of {instance.role}, which was exported before the last manager ended"
 
 
+def _moved_by_relays(cut: Cut, incoming: CutResult, outgoing: CutResult | None) -> MovedState | None:
+    """The state that a program behind a relay has given, or got; None where there is none of the two, or it is not
+    known. Its topics are silent from the last message of the old side to the first one of the new side.
+    """
+    relayed = any(cut.configuration.component(name).gate == "relay" for name in (cut.old, cut.new))
+    if not relayed or outgoing is None or outgoing.moved is None:
+        return None
+    silences = []
+    for swap in cut.swaps:
+        topic = cut.configuration.topic(swap.connector)
+        last, first = outgoing.last.get(f"{swap.old.port} {topic}"), incoming.first.get(f"{swap.new.port} {topic}")
+        if last is not None and first is not None and last.source is not None and first.source is not None:
+            silences.append(max(0.0, (first.source - last.source) / 1e9))
+    return structs.replace(outgoing.moved, silent=max(silences, default=None))
+
+
 def moved_in_words(old: str, new: str, state: MovedState) -> str:
-    """Describe the state that moved between two nodes without Midstride's API, and what waited for it."""
+    """Describe the state that moved to or from a node without Midstride's API, and what waited for it."""
     silent = "" if state.silent is None else f"nothing was published for {seconds_in_words(state.silent)}, and "
     held = f"requests were held for {seconds_in_words(state.held)}"
     return f"the state of {old} ({counted(state.bytes, 'byte')}) moved to {new}: {silent}{held}"
@@ -101,7 +117,7 @@ class StateTransfers:
     keeping: Container[str] = ()  # the components that keep state
     # By new component: what state of the old one it continues without, and why.
     own_state: dict[str, str] = field(default_factory=dict)
-    # By new node without Midstride's API: the state that has moved to it.
+    # By new node, where it or the old one has no API: the state that has moved to it.
     moved: dict[str, StateMove] = field(default_factory=dict)
     _bulks: dict[str, float] = field(default_factory=dict)  # by new component: when the bulk had moved (Unix time, s)
 
@@ -150,13 +166,12 @@ class StateTransfers:
             how = "hangs" if hangs else "exited before it had exported its state"
             self.note_own_state(old, new, f"{old} {how}")
 
-    def ended(self, cut: Cut, incoming: CutResult) -> None:
+    def ended(self, cut: Cut, incoming: CutResult, outgoing: CutResult | None = None) -> None:
         """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period.
 
-        Of nodes without Midstride's API, note what the state cost.
+        Of nodes without Midstride's API, also behind relays, note what the state cost. ``outgoing``: of the old side.
         """
-        if incoming.moved is not None:
-            found = incoming.moved
+        if (found := incoming.moved or _moved_by_relays(cut, incoming, outgoing)) is not None:
             words = moved_in_words(cut.old, cut.new, found)
             self.moved[cut.new] = StateMove(bytes=found.bytes, silent=found.silent, held=found.held, words=words)
             self.events.add("note", words)

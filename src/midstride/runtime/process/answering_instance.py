@@ -11,7 +11,7 @@ from typing import Final
 from midstride.errors import CallTimeout, CommandRefused, RevisionChanged, Unreachable
 from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.process.component_client import ComponentClient
-from midstride.wire.commands import AnswerCommand
+from midstride.wire.commands import AnswerCommand, JoinRequestsCommand
 
 # How long an instance may take to answer, where the one before has the usual time for what it has taken (s).
 ANSWERS_WITHIN: Final = 2.0
@@ -63,6 +63,9 @@ async def _ask(client: ComponentClient, instance: str, instead_of: str | None, d
         answers = await client.change(instance, command)
     except RevisionChanged:  # what an earlier manager has asked it to do has just ended
         client.forget_revision(instance)
+        answers = await client.change(instance, command)
+    if answers.first is not None and instead_of is not None:
+        await client.change(instead_of, JoinRequestsCommand(place=answers.first))
         answers = await client.change(instance, command)
     if not (left := answers.outlasting):
         return None

@@ -95,7 +95,7 @@ class ModeSkew(Report, frozen=True):
 
 
 class StateMove(Report, frozen=True, kw_only=True):
-    """The state of a node without Midstride's API has moved to its replacement, and what waited for it."""
+    """State has moved to a replacement, from or to a node without Midstride's API, and what waited for it."""
 
     bytes: int
     silent: Annotated[
@@ -143,7 +143,8 @@ class Outcome(Report, frozen=True, kw_only=True):
         Meta(description="new components that continue without the state of the old one: what is lost, and why"),
     ] = {}
     moved: Annotated[
-        dict[str, StateMove], Meta(description="by new node without Midstride's API: the state that has moved to it")
+        dict[str, StateMove],
+        Meta(description="by new node, where it or the old one has no API: the state that has moved to it"),
     ] = {}
     goals: Annotated[
         dict[str, GoalTally], Meta(description="by role that was replaced: what became of the goals of its ROS actions")

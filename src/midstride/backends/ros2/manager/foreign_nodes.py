@@ -48,6 +48,7 @@ from midstride.foreign.record import ForeignRecord
 from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.services import NodeServices
+from midstride.foreign.sharing_components import forget_component, share_requests
 from midstride.model.component import ComponentSpec
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Handle, Launch
@@ -226,6 +227,8 @@ class ForeignNodes:
             index = page.allocate(launch.instance, process=process_index, name="" if shared is None else node)
             old = self._agents.get(launch.predecessor)
             before = None if old is None else old.node.record.index
+            if old is None and launch.standby and launch.predecessor:  # a component with the API, or a relay
+                before = share_requests(page, launch.predecessor)
             if component.preloads:
                 Gates(page, index, of_topics(component)).prepare(topics, before)
             else:
@@ -588,6 +591,8 @@ class ForeignNodes:
         self._managers.starting.pop(instance, None)
         self._peers.nodes.pop(instance, None)
         self._unfound.discard(instance)
+        if self._page is not None:
+            forget_component(self._page, instance)
         if self._relayed.pop(instance, None) is not None:
             order_file(self._folder, instance).unlink(missing_ok=True)
         if (agent := self._agents.pop(instance, None)) is not None:

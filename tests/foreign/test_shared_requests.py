@@ -1,0 +1,295 @@
+"""Requests that a component with Midstride's API and a node with the library share: one of the two claims each."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from midstride.foreign.sharing_components import place, share_requests
+from midstride.node.request_admission import HOLD, LEFT_OVER, PassableRequest, RequestAdmission
+from midstride.node.shared_requests import RequestsSlot
+from midstride.wire.replies import SharedRequestsPlace
+from tests.foreign.lab import Lab, until, variables
+
+REQUESTS = 20_000
+
+
+class Page:
+    """What the two know of each other: the slow twin of the page. ``answering``, ``before``: `own`, `other`."""
+
+    def __init__(self, answering: str) -> None:
+        self.answering, self.before = answering, ""
+        self.taken: set[str] = set()
+        self.held: dict[str, set[str]] = {"own": set(), "other": set()}
+        self.unanswered = 0
+
+    def give(self, side: str) -> None:
+        if self.answering != side:
+            self.answering, self.before = side, self.answering
+
+    # What the component asks of it.
+
+    def answers(self) -> bool:
+        return self.answering == "own"
+
+    def answered_before(self) -> bool:
+        return self.before == "own"
+
+    def claim(self, request: str) -> bool:
+        if request in self.taken:
+            return False
+        self.taken.add(request)
+        self.unanswered += 1
+        return True
+
+    def note_claimed(self, request: str) -> None:
+        self.taken.add(request)
+
+    def note_held(self, request: str) -> None:
+        self.held["own"].add(request)
+
+    def claimed(self, request: str) -> bool:
+        return request in self.taken
+
+    def held_by_other(self, request: str) -> bool:
+        return request not in self.taken and request in self.held["other"]
+
+    def answered(self) -> None:
+        self.unanswered -= 1
+
+
+class Library:
+    """The other node: it claims what it takes while it answers, and holds the rest."""
+
+    def __init__(self, page: Page) -> None:
+        self.page, self.held, self.handled = page, list[str](), list[str]()
+
+    def receives(self, request: str) -> None:
+        if self.page.answering == "other":
+            self._claim(request)
+        else:
+            self.page.held["other"].add(request)
+            self.held.append(request)
+
+    def look(self) -> None:
+        if self.page.answering == "other":
+            held, self.held = self.held, []
+            for request in held:
+                self._claim(request)
+
+    def _claim(self, request: str) -> None:
+        if request not in self.page.taken:
+            self.page.taken.add(request)
+            self.handled.append(request)
+
+
+class Component:
+    def __init__(self, *, is_open: bool) -> None:
+        self.time, self.handled = 0.0, list[str]()
+        self.admission = RequestAdmission(lambda: int(self.time * 1e9), is_open=is_open)
+
+    def receives(self, request: str, passable: PassableRequest | None = None) -> None:
+        def handle() -> None:
+            self.handled.append(request)
+            self.admission.finished(request)
+
+        if self.admission.admit(request, handle, passable):
+            handle()
+
+
+EVENTS = st.lists(
+    st.one_of(st.tuples(st.sampled_from(["own", "other"]), st.integers(0, 9)), st.sampled_from(["look", "give"]))
+)
+
+
+@given(EVENTS, st.booleans())
+def test_each_request_is_handled_once_in_whatever_order_the_two_receive_it(events: list[object], own: bool) -> None:
+    """Either of the two answers at first, and the component joins before the other one is to answer."""
+    component, page = Component(is_open=own), Page("own" if own else "other")
+    library, received = Library(page), {"own": set[str](), "other": set[str]()}
+    component.receives("1 99") if own else None  # handled before it joins; the other one holds it
+    component.admission.share(page)
+    if own:
+        library.receives("1 99")
+    sides: dict[str, Callable[[str], object]] = {"own": component.receives, "other": library.receives}
+    rest = [(side, number) for number in range(10) for side in sides]
+    for event in [*events, "give", "look", *rest, "look"]:
+        match event:
+            case "look":
+                component.admission.look()
+                library.look()
+            case "give":
+                page.give("other" if page.answering == "own" else "own")
+            case (str(side), int(number)) if (request := f"1 {number}") not in received[side]:
+                received[side].add(request)
+                sides[side](request)
+    expected = {f"1 {number}" for number in range(10)} | ({"1 99"} if own else set())
+    assert sorted([*component.handled, *library.handled]) == sorted(expected)
+    assert page.unanswered == 0
+    assert component.admission.is_open == (page.answering == "own")
+
+
+def test_what_its_successor_has_not_received_is_handled_here_after_a_while() -> None:
+    component, page = Component(is_open=True), Page("own")
+    component.admission.share(page)
+    page.give("other")
+    component.receives("1 1")
+    component.receives("1 2")
+    page.held["other"].add("1 2")  # which has it, and is busy
+    component.time = LEFT_OVER - 0.01
+    component.admission.look()
+    assert component.handled == []
+    component.time = LEFT_OVER + 0.01
+    component.admission.look()
+    assert component.handled == ["1 1"]
+    page.taken.add("1 2")
+    component.time = LEFT_OVER + 0.02
+    component.admission.look()
+    assert component.handled == ["1 1"]
+    assert not component.admission.passable()
+
+
+def test_one_that_waits_handles_nothing_that_the_other_one_has_not_received() -> None:
+    """It has never answered: what the one that answers has not taken yet is that one's."""
+    component, page = Component(is_open=False), Page("other")
+    component.admission.share(page)
+    component.receives("1 1")
+    component.time = HOLD - 0.1
+    component.admission.look()
+    assert component.handled == []
+    page.give("own")
+    component.admission.look()
+    assert component.handled == ["1 1"]
+
+
+def test_one_that_ends_begins_no_request_but_those_that_only_it_has() -> None:
+    component, page = Component(is_open=True), Page("own")
+    component.admission.share(page)
+    page.give("other")
+    component.admission.look()
+    component.admission.pause()
+    answered = PassableRequest("/count", bytes, lambda data: None)
+    component.receives("1 1", answered)
+    component.admission.look()
+    assert component.handled == []
+    assert list(component.admission.passable()) == ["1 1"]  # it is waited for
+    component.time = LEFT_OVER + 0.01
+    component.admission.look()
+    assert component.handled == ["1 1"]
+
+
+def joined(lab: Lab, of: int | None = None) -> RequestsSlot:
+    return RequestsSlot(place(lab.page, share_requests(lab.page, "component", of)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_of_two_that_claim_at_once_one_does(lab: Lab, seed: int) -> None:
+    """A server that takes as fast as it can, in another process, and a component that claims just the same requests."""
+    chance, page = random.Random(seed), lab.page
+    index = page.allocate("server")
+    page.have_requests(index)
+    own = joined(lab, index)
+    given = variables(page.path, lab.programs, lab.library, lab.log, index)
+    command = [str(lab.programs / "server"), "/count", str(REQUESTS)]
+    process = subprocess.Popen(command, env=given, stdout=subprocess.DEVNULL)
+    until(lambda: "/count" in page.servers(index), "the server does not join")
+    port = page.servers(index)["/count"]
+    claimed = failed = number = 0
+    role = page._requests[page.layout.nodes[index].requests - 1]
+    while process.poll() is None and number < REQUESTS:
+        taken = int(role.knows) - claimed  # by the server
+        if number > taken + 1000:  # the page does not know more than 4096
+            continue
+        number = min(max(number + 1, taken + chance.randrange(-1, 4)), REQUESTS)
+        if own.claim(f"0 {number}"):
+            claimed += 1
+        else:
+            failed += 1
+    assert process.wait(30) == 0
+    assert claimed and failed, "they have not met"
+    assert int(port.passed) + claimed == REQUESTS
+    own.leave()
+    assert own.answers() and own.is_alone, "it has left"
+
+
+def asked(connection: Connection, where: SharedRequestsPlace) -> None:
+    """The component in another process: a process does not see its own locks. It does what it is asked."""
+    own = RequestsSlot(where)
+    own.serve({"/count"})
+    while True:
+        name, *arguments = connection.recv()
+        found = getattr(own, name)
+        connection.send(found(*arguments) if callable(found) else found)
+
+
+@contextmanager
+def elsewhere(where: SharedRequestsPlace) -> Iterator[Callable[..., Any]]:
+    here, there = get_context("spawn").Pipe()
+    process = get_context("spawn").Process(target=asked, args=(there, where))
+    process.start()
+
+    def ask(*what: Any) -> Any:
+        here.send(what)
+        return here.recv()
+
+    try:
+        yield ask
+    finally:
+        process.kill()
+        process.join()
+
+
+def test_a_component_and_a_node_change_places(lab: Lab) -> None:
+    """The node begins when the component has answered what it had claimed; then the component is to answer again.
+
+    It goes on where that has died.
+    """
+    page = lab.page
+    index = share_requests(page, "component")
+    with elsewhere(place(page, index)) as ask:
+        assert ask("answers") and ask("is_alone")
+        assert ask("claim", "7 1") and not ask("claim", "7 1")
+        new = page.allocate("server")
+        page.have_requests(new, index)
+        assert page.answering(new) == index
+        assert not ask("is_alone")
+        page.give_requests(new, 5.0)
+        assert not ask("answers") and ask("answered_before")
+        assert page.layout.nodes[index].unanswered == 1
+        ask("answered")
+        assert page.layout.nodes[index].unanswered == 0
+        ask("answer", 5.0)
+        assert ask("answers") and page.answering(new) == index
+        page.give_requests(new, 5.0)
+        assert not ask("answers")
+        page.layout.nodes[new].pid = 2**22 + 1  # no process has its lock: it has died
+        assert ask("answers") and ask("is_alone")
+        page.free(index)
+        assert ask("answers"), "its part was taken back"
+    assert share_requests(page, "component") == index, "its part is free"
+
+
+def test_what_is_noted_is_known_by_whose_it_is(lab: Lab) -> None:
+    page = lab.page
+    index = page.allocate("server")
+    page.have_requests(index)
+    own = joined(lab, index)
+    own.note_held("7 1")
+    assert not own.claimed("7 1") and not own.held_by_other("7 1")
+    own.note_claimed("7 2")
+    assert own.claimed("7 2") and not own.claim("7 2")
+    for number in range(5000):  # more than there are places
+        own.note_claimed(f"8 {number}")
+    assert not own.claimed("7 2")
+    assert all(map(own.claimed, map(partial("8 {}".format), range(2000, 5000))))
+    own.leave()
