@@ -25,7 +25,8 @@ from tests.backends.ros2_support import Bare, run, without_midstride
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
 # Counts to the number that a goal asks for, at 20 Hz, until that is cancelled, or until the test finishes all such
-# goals; its last number is its server's. With another argument, it is the second node of its process.
+# goals; its last number is its server's. With another argument, it is the second node of its process. Its own service
+# is made after the ROS action: a client that has had an answer from that and the server of the action know each other.
 SERVER = """
 import sys
 import threading
@@ -36,6 +37,7 @@ from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
+from rcl_interfaces.srv import ListParameters
 from test_msgs.action import Fibonacci
 
 rclpy.init()
@@ -56,6 +58,7 @@ def count(goal):
 
 server = ActionServer(node, Fibonacci, "/count", count, cancel_callback=lambda goal: CancelResponse.ACCEPT,
                       callback_group=ReentrantCallbackGroup())
+node.create_service(ListParameters, f"/own_{sys.argv[1]}", lambda request, response: response)
 
 def leave():
     if (Path(__file__).parent / "left").exists() and server in node.waitables:
@@ -92,7 +95,12 @@ class Actions:
         self.client: Any = ActionClient(bare.node, Fibonacci, "/count")
 
     async def start(self, name: int, of: int | None = None, *, second: bool = False) -> None:
-        """Start a server beside the one that it replaces. ``second``: it is not the first node of its process."""
+        """Start a server beside the one that it replaces. ``second``: it is not the first node of its process.
+
+        On return, it and the client know each other: a goal sent before that gets no answer.
+        """
+        from rcl_interfaces.srv import ListParameters
+
         page = self.page
         process = page.allocate(f"{name} host") if second else None
         index = page.allocate(str(name), process=process, name="/server" if second else "")
@@ -107,8 +115,12 @@ class Actions:
         self.processes[name] = subprocess.Popen(command, env={**without_midstride(), **given})
         parts = {f"/count/_action/{part}" for part in ("send_goal", "cancel_goal", "get_result")}
         await self.bare.until(lambda: parts <= page.servers(index).keys())
+        asking = self.bare.node.create_client(ListParameters, f"/own_{name}")
+        await self.bare.ask(asking, ListParameters.Request())
+        self.bare.node.destroy_client(asking)
         number = len([each for each in self.processes.values() if each.poll() is None])
         await self.bare.until(lambda: all(self.bare.node.count_services(part) >= number for part in parts))
+        await self.bare.until(self.client.server_is_ready)
         if of is not None:  # it knows the client, too
             old = page.servers(self.indices[of])
             await self.bare.until(lambda: all(page.servers(index)[part].matched >= 1 for part in parts & old.keys()))
@@ -119,8 +131,24 @@ class Actions:
             self.page.ring(index)
 
     async def result(self, future: Any) -> Any:
-        await self.bare.until(future.done, 30)
+        try:
+            await self.bare.until(future.done, 30)
+        except AssertionError as error:
+            raise AssertionError(f"no response: {self.state()}") from error
         return future.result()
+
+    def state(self) -> str:
+        """What is known of the servers, for a test that fails."""
+        known = []
+        for name, index in self.indices.items():
+            node, ended = self.page.layout.nodes[index], self.processes[name].poll()
+            words = f"server {name}: {'lives' if ended is None else f'ended ({ended})'}, goals {self.goals(name)}, "
+            words += f"beyond the page {node.beyond} and {node.apart}, not answered {node.unanswered}"
+            for service, port in sorted(self.page.servers(index).items()):
+                part = service.rpartition("/")[2]
+                words += f"; {part}: {port.matched} clients, {port.passed} taken, {port.gated} held"
+            known.append(words)
+        return " | ".join(known)
 
     async def accepted(self, order: int, feedback: Any = None) -> Any:
         goal = await self.result(self.client.send_goal_async(self._type.Goal(order=order), feedback))
