@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tests.planting import plant, plant_value
+from tests.simulation.planted import PLANTED, planted
 
 
 @dataclass
@@ -80,3 +81,10 @@ def test_a_value_stays_whatever_is_assigned(monkeypatch: pytest.MonkeyPatch) -> 
     door = Door(opened=1)
     door.opened = 2
     assert door.opened == 7
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_what_the_simulation_is_to_find_is_called_as_the_code_of_now(name: str) -> None:
+    """Whether it is found, tests/simulation/test_long.py shows."""
+    with planted(name) as words:
+        assert words

@@ -107,9 +107,9 @@ def _start_not_recorded(patch: pytest.MonkeyPatch) -> None:
     """The process of a new instance is not recorded for the next manager."""
     write = state_store.StateStore.write_instance
 
-    def only_known(self: Any, instance: Any, handle: Any) -> None:
+    def only_known(self: Any, instance: Any, handle: Any, *, done: bool = False) -> None:
         if "_" not in instance.name:
-            write(self, instance, handle)
+            write(self, instance, handle, done=done)
 
     plant(patch, state_store.StateStore, "write_instance", only_known)
 
