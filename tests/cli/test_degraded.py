@@ -117,7 +117,7 @@ def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
     plant(monkeypatch, up, "bring_up", lambda *_, **__: msgspec.convert(report, UpReport))
     condition = system_condition(2, 1, ["talker could not be started"])
     status = SimpleNamespace(condition=condition)
-    plant(monkeypatch, up, "settled", lambda *_, **__: (status, []))
+    plant(monkeypatch, up, "await_rates", lambda *_, **__: (status, []))
     plant(monkeypatch, Client, "specification", lambda *_, **__: load(file))
     plant(monkeypatch, Client, "service", lambda *_, **__: None)
     with tempfile.TemporaryDirectory(prefix="ms") as folder:  # a short name: sockets are in it

@@ -276,7 +276,7 @@ def test_up_that_is_interrupted_while_it_waits_for_the_first_rates(
         return manager.up()
 
     monkeypatch.setattr(up, "bring_up", brought_up)
-    monkeypatch.setattr(up, "settled", interrupt)
+    monkeypatch.setattr(up, "await_rates", interrupt)
     done = here(midstride, *command, "--stop-on-exit" if stop_on_exit else "--detach")
     if stop_on_exit:
         assert (done.status, "talker is down." in done.out) == (0, True)

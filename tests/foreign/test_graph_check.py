@@ -215,7 +215,7 @@ def refuses(
     patience: float = 0.5,
 ) -> int:
     """A node that the gate sees nothing of, and the graph ``found``, is refused; how often it was asked meanwhile."""
-    monkeypatch.setattr(agent_module, "SETTLED", 0.0)
+    monkeypatch.setattr(agent_module, "GRAPH_UNCHANGED", 0.0)
     monkeypatch.setattr(agent_module, "HEARTBEAT", 0.01)
     monkeypatch.setattr(graph_check, "ENDPOINTS_TIMEOUT", 1e9 if answers else patience)
     page = Page(tmp_path / "page", gate_library)
@@ -274,7 +274,7 @@ def test_a_node_that_differs_is_not_accepted(tmp_path: Path, programs: Path, gat
 def test_a_node_without_ports_registers_once_the_graph_shows_it_or_after_a_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shown: bool
 ) -> None:
-    monkeypatch.setattr(agent_module, "SETTLED", 1e9 if shown else 0.0)
+    monkeypatch.setattr(agent_module, "GRAPH_UNCHANGED", 1e9 if shown else 0.0)
     monkeypatch.setattr(agent_module, "WATCH", 0.01)
     bare = ComponentSpec.of("Talker", run="talker", gate="none")
     record = recorded(bare)

@@ -300,7 +300,7 @@ def test_a_running_process_of_rcl_shows_that_the_library_was_taken_away(
             unseen = why_unseen(process.pid)
             assert (unseen is not None) == taken, words
             assert unseen is None or ("uses rcl, and was started without the library" in unseen.why)
-            assert unseen is None or unseen.settled == 0.0
+            assert unseen is None or unseen.certain_after == 0.0
         finally:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()

@@ -17,7 +17,7 @@ PATIENCE: Final = 2.5
 _POLL: Final = 0.1
 
 
-def settled(client: Client) -> tuple[Status, list[str]]:
+def await_rates(client: Client) -> tuple[Status, list[str]]:
     """The status once each output keeps its rate so far, or has been measured over a whole window; or after PATIENCE.
 
     Besides, the outputs of which it is not known by then.

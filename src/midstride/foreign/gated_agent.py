@@ -22,7 +22,7 @@ from midstride.foreign.gated_outputs import GatedOutputs
 from midstride.foreign.gated_reflex import broken_assumptions
 from midstride.foreign.gates import Gates
 from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, NodeGraph, Served, endpoints_seconds
-from midstride.foreign.graph_watch import GRAPH_TIMEOUT, LOOK, SETTLED, GraphWatch
+from midstride.foreign.graph_watch import GRAPH_TIMEOUT, GRAPH_UNCHANGED, LOOK, GraphWatch
 from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.lifecycle_node import LifecycleNode
 from midstride.foreign.lifecycle_outputs import LifecycleOutputs, LifecyclePeers
@@ -217,11 +217,11 @@ class ForeignAgent:
             return None
         old, before, longest = record.predecessor, self._before, endpoints_seconds(self.node.component)
         if old is None:
-            await self.node.comes_true(lambda: bool(graph()), SETTLED, every=WATCH)
+            await self.node.comes_true(lambda: bool(graph()), GRAPH_UNCHANGED, every=WATCH)
             return None
         up = await self.node.comes_true(
             lambda: bool(found := graph()) and not lacks(found, record.node, before, old),
-            longest if before else SETTLED,
+            longest if before else GRAPH_UNCHANGED,
             every=WATCH,
         )
         if up or not before:
@@ -234,9 +234,9 @@ class ForeignAgent:
     async def _missing(self, gates: Gates) -> list[str]:
         """The ports for which the node creates no endpoint in the time that it has.
 
-        It is not waited for any longer if the graph has shown nothing new of it for SETTLED, and shows endpoints that
-        the gate does not see; or the node answers requests, so its initialization is over, and has what is probably
-        meant under other names.
+        It is not waited for any longer if the graph has shown nothing new of it for GRAPH_UNCHANGED, and shows
+        endpoints that the gate does not see; or the node answers requests, so its initialization is over, and has what
+        is probably meant under other names.
         """
         loop = asyncio.get_running_loop()
         begun = since = loop.time()
@@ -249,7 +249,7 @@ class ForeignAgent:
             missing = gates.missing()
             if now - begun >= endpoints_seconds(self.node.component):
                 break
-            if now - since < SETTLED:
+            if now - since < GRAPH_UNCHANGED:
                 continue
             if self._declared.unseen(list(found), missing) or self._never_seen(now - begun):
                 break
@@ -260,7 +260,7 @@ class ForeignAgent:
     def _never_seen(self, ran: float) -> bool:
         """Return whether the library certainly sees nothing of the process, ``ran`` s after its start."""
         unseen, takes = why_unseen(self.node.record.pid), self.node.component.startup_seconds or 0.0
-        return unseen is not None and unseen.settled is not None and ran >= unseen.settled + takes
+        return unseen is not None and unseen.certain_after is not None and ran >= unseen.certain_after + takes
 
     async def _answers(self) -> bool:
         if self._services is None:

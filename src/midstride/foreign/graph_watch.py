@@ -26,7 +26,7 @@ GRAPH_LOOK: Final = 2.0
 # How soon after its start the graph is asked for what the node serves (s).
 FIRST_LOOK: Final = 0.3
 # A node of which the graph has shown nothing new for so long, and that answers, will create no more of them (s).
-SETTLED: Final = 2.0
+GRAPH_UNCHANGED: Final = 2.0
 
 
 class GraphWatch:
@@ -149,7 +149,7 @@ class GraphWatch:
         now = asyncio.get_running_loop().time()
         if shown != self._shown:
             self._shown, self._shown_since = shown, now
-        if never if nothing else now - self._shown_since >= SETTLED:
+        if never if nothing else now - self._shown_since >= GRAPH_UNCHANGED:
             managers.starting.pop(self._node.record.instance, None)
 
     async def _look_at_managers(self, served: Served) -> None:

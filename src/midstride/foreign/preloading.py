@@ -31,7 +31,7 @@ _SCRIPTS: Final = 4
 _LOADER: Final = re.compile(r"ld(-|\.so)")  # it may be named as a program, too
 _AT_SECURE: Final = 23
 # A program that also uses rcl has made its endpoints by then (s), besides what it states (`takes`).
-AGNOCAST_SETTLED: Final = 5.0
+AGNOCAST_CERTAIN: Final = 5.0
 # Starts its arguments as another program, in its own process, after variables and options; those that a word follows.
 _ENV: Final = "env"
 _ENV_TAKE_WORDS: Final = {"-u": "--unset", "-C": "--chdir", "-S": "--split-string", "-a": "--argv0"}
@@ -101,11 +101,11 @@ class StartedPrograms:
 class Unseen:
     """Why a process has an endpoint that the library does not see.
 
-    ``settled``: how long after its start that is certain (s); None: as long as it runs, it may change.
+    ``certain_after``: how long after its start that is certain (s); None: as long as it runs, it may change.
     """
 
     why: str
-    settled: float | None = 0.0
+    certain_after: float | None = 0.0
 
 
 def why_not_loaded(program: str, gate: ElfFile | None = None) -> str | None:
@@ -139,13 +139,13 @@ def why_unseen(pid: int) -> Unseen | None:
                 return Unseen(
                     f"its process {each} {got}, so the loader has ignored `{PRELOAD}`: declare it with `gate relay` or "
                     "`gate none`",
-                    settled=0.0 if privileged else None,
+                    certain_after=0.0 if privileged else None,
                 )
             loaded = Path(f"/proc/{each}/maps").read_text(errors="replace")
             if _AGNOCAST in loaded:
-                return Unseen(_by_agnocast(f"its process {each} has loaded it"), settled=AGNOCAST_SETTLED)
+                return Unseen(_by_agnocast(f"its process {each} has loaded it"), certain_after=AGNOCAST_CERTAIN)
             if (why := why_not_loaded(os.readlink(f"/proc/{each}/exe"))) is not None:
-                return Unseen(why, settled=None)  # it may start a program that is none
+                return Unseen(why, certain_after=None)  # it may start a program that is none
             if _RCL in loaded:
                 with_both = with_both or _GATE in loaded
                 without = without or (None if _GATE in loaded else each)

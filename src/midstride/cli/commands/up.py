@@ -17,7 +17,7 @@ from msgspec import structs
 
 from midstride.backends import NAMES
 from midstride.cli.client import Client
-from midstride.cli.first_rates import settled
+from midstride.cli.first_rates import await_rates
 from midstride.cli.follow import FollowedRequest, explained_when_interrupted
 from midstride.cli.input_files import load
 from midstride.cli.live_view import watch
@@ -217,7 +217,7 @@ def _show_how_it_came_up(
             f"Run `midstride apply {file}` to change it.",
             err=True,
         )
-    found, pending = settled(client)
+    found, pending = await_rates(client)
     status = EXIT_STATUS[found.condition.state]
     if wants_json():
         print_json({**encode(answer), "condition": encode(found.condition)})
