@@ -114,7 +114,7 @@ class Invariants:
     def on_change(self, process: StandIn) -> None:
         state = process.state
         if process.dead:
-            self.requests.goals.on_exit(process)
+            self.requests.on_exit(process)
         if process.dead or state is None:
             if self._shown.pop(process.instance, None) is not None:
                 self.due = self._changed = True

@@ -1,15 +1,16 @@
 """The invariants of every request to a service or ROS action, whatever strikes: checked where it passes.
 
 Each request is executed at most once, by one instance, while no other one of its role answers, and answered at most
-once. What reaches an instance that answers is executed, unless another one may have done that, and has died. And where
-its client states a bound, it is answered, or its client knows in time that it is not.
+once. What reaches an instance that answers is executed, unless another one may have done that, and has died, as far as
+the instance can know: which requests an instance of its role has received that had ended before it could be asked, it
+does not. And where its client states a bound, it is answered, or its client knows in time that it is not.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.backends.simulator.service_network import ServiceObserver, SimulatedRequest
@@ -38,6 +39,7 @@ class RequestInvariants(ServiceObserver):
     heard: dict[str, int]
     violated: Callable[[str], None] = lambda words: None
     torn: Callable[[], bool] = lambda: False
+    _exited: dict[int, StandIn] = field(default_factory=dict)  # by process id
 
     def __post_init__(self) -> None:
         self.goals = GoalInvariants(self.platform)
@@ -83,7 +85,22 @@ class RequestInvariants(ServiceObserver):
                 continue
             if process.reacts_since > request.since or any(each.exited_at < began for each in others):
                 continue
+            if self._had_no_one_to_ask(process, request, began):
+                continue
             self.violated(f"a request to {request.client.name} is not executed, although {process.instance} has got it")
+
+    def _had_no_one_to_ask(self, process: StandIn, request: SimulatedRequest, began: float) -> bool:
+        """Return whether what ``process`` held is dropped by docs/protocols/services.md: it may have been handled.
+
+        That is so where an instance of its role had exited when it began to answer, lately.
+        """
+        gone = (each for each in self._exited.values() if each.role == process.role and each is not process)
+        return request.since < began and any(request.since - HOLD < each.exited_at <= began for each in gone)
+
+    def on_exit(self, process: StandIn) -> None:
+        """Note that a process has ended."""
+        self._exited[process.pid] = process
+        self.goals.on_exit(process)
 
     def on_executed(self, request: SimulatedRequest, process: SimulatedProcess) -> None:
         """Check that one instance executes it, once; or, where it is about a goal, the one that has that."""
