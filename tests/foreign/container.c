@@ -114,6 +114,14 @@ static bool unload(uint64_t id)
   return true;
 }
 
+/* As rclcpp does it: whoever has asked may not wait any more. */
+static void respond(const rcl_service_t *service, rmw_request_id_t *id, void *response)
+{
+  rcl_ret_t sent = rcl_send_response(service, id, response);
+  if (sent != RCL_RET_TIMEOUT)
+    require(sent, "response");
+}
+
 static void answer(rcl_service_t *loads, rcl_service_t *unloads, rcl_service_t *lists)
 {
   rmw_request_id_t id;
@@ -125,7 +133,7 @@ static void answer(rcl_service_t *loads, rcl_service_t *unloads, rcl_service_t *
     const char *fault = load(&to_load, &response);
     response.success = !fault;
     rosidl_runtime_c__String__assign(&response.error_message, fault ? fault : "");
-    require(rcl_send_response(loads, &id, &response), "response");
+    respond(loads, &id, &response);
     composition_interfaces__srv__LoadNode_Response__fini(&response);
   }
   composition_interfaces__srv__LoadNode_Request__fini(&to_load);
@@ -134,7 +142,7 @@ static void answer(rcl_service_t *loads, rcl_service_t *unloads, rcl_service_t *
     composition_interfaces__srv__UnloadNode_Response response;
     composition_interfaces__srv__UnloadNode_Response__init(&response);
     response.success = unload(to_unload.unique_id);
-    require(rcl_send_response(unloads, &id, &response), "response");
+    respond(unloads, &id, &response);
     composition_interfaces__srv__UnloadNode_Response__fini(&response);
   }
   composition_interfaces__srv__ListNodes_Request to_list = {0};
@@ -152,7 +160,7 @@ static void answer(rcl_service_t *loads, rcl_service_t *unloads, rcl_service_t *
         rosidl_runtime_c__String__assign(&response.full_node_names.data[at++],
                                          rcl_node_get_fully_qualified_name(&loaded[each]->node));
       }
-    require(rcl_send_response(lists, &id, &response), "response");
+    respond(lists, &id, &response);
     composition_interfaces__srv__ListNodes_Response__fini(&response);
   }
   if (rcl_error_is_set())
