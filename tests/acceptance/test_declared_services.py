@@ -92,6 +92,27 @@ node user : User { count <- /count  map <- /map }
 """
 
 
+@pytest.mark.long
+def test_a_new_server_of_another_type_is_not_accepted(tmp_path: Path) -> None:
+    """While both run, both types are in the graph under one name."""
+    text = TEXT + 'component Typed like Maps { run "python3 typed.py" gate preload }\n'
+    typed = MAPS.replace("ListParameters", "GetParameters")
+    for name, program in (("server", SERVER), ("maps", MAPS), ("user", USER), ("typed", typed)):
+        (tmp_path / f"{name}.py").write_text(program)
+
+    async def scenario() -> None:
+        async with robot(load_text(text).require(), tmp_path) as system:
+            refused = await system.meanwhile(system.manager.change(PlanRequest(replace=(("maps", "Typed"),))))
+            assert refused.outcome == "rolled_back"
+            assert (
+                "serves service /map of type rcl_interfaces/srv/GetParameters, and server map of Typed is declared as "
+                "rcl_interfaces/srv/ListParameters"
+            ) in (refused.because or "")
+            assert system.manager.configuration.mode(FunctionalityRef("user", "mapping")).name == "normal"
+
+    run(scenario())
+
+
 def test_declared_services_are_replaced_and_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, text in (("server", SERVER), ("clients", CLIENTS), ("maps", MAPS), ("user", USER)):
         (tmp_path / f"{name}.py").write_text(text)

@@ -62,6 +62,36 @@ def test_what_a_node_calls_is_named_without_its_own_services() -> None:
     run(scenario())
 
 
+@pytest.mark.parametrize("shown", [True, False])
+def test_the_type_of_a_server_is_that_of_its_own_process(shown: bool) -> None:
+    """During a replacement the graph lists both types; without request readers it cannot tell whose they are."""
+    from midstride.backends.ros2.manager.graph import Graph
+    from midstride.backends.ros2.middleware import RmwImplementation
+
+    both = ["nav_msgs/srv/GetMap", "nav_msgs/srv/GetPlan"]
+    readers = {
+        "rq/planRequest": [
+            SimpleNamespace(endpoint_gid=bytes([process] * 16), topic_type=f"nav_msgs::srv::dds_::{type_}_Request_")
+            for process, type_ in ((1, "GetPlan"), (2, "GetMap"))
+        ]
+    }
+    node = SimpleNamespace(
+        get_service_names_and_types=lambda: [("/plan", both)],
+        get_subscriptions_info_by_topic=lambda topic, no_mangle: readers[topic] if shown and no_mangle else [],
+        get_client_names_and_types_by_node=lambda *_: [],
+    )
+    graph = Graph(node, RmwImplementation("one", participant=12))
+
+    def types(process: int | None) -> list[str]:
+        mark = None if process is None else bytes([process] * 16)
+        return sorted(each.type for each in graph.served_by("/planner", {"/plan"}, mark).servers)
+
+    assert types(None) == both
+    assert types(1) == (["nav_msgs/srv/GetPlan"] if shown else both)
+    assert types(2) == (["nav_msgs/srv/GetMap"] if shown else both)
+    assert types(3) == ([] if shown else both), "its reader is not in the graph yet"
+
+
 class ListedGraph:
     """What rclpy's node tells of a graph that is drawn: processes with nodes, some of one name, with endpoints."""
 

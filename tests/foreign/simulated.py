@@ -188,7 +188,7 @@ class SimulatedRos(Simulator):
         def services(node: str) -> SimulatedNode | None:
             return self.nodes.get(node.strip("/"))
 
-        def served(node: str, _: frozenset[str] | None) -> Served:
+        def served(node: str, _: frozenset[str] | None, mark: bytes | None) -> Served:
             found = services(node)
             return Served() if found is None else found.served()
 

@@ -63,7 +63,7 @@ class ManagedRos(SimulatedRos):
     def _services_of(self, node: str) -> SimulatedNode | None:
         return self.nodes.get(node.strip("/"))
 
-    def _served(self, node: str, services: frozenset[str] | None) -> Served:
+    def _served(self, node: str, services: frozenset[str] | None, mark: bytes | None) -> Served:
         """The manager knows the first node of its name."""
         known = node in ("/planner", "/talker")
         return Served((), has_lifecycle=True, managers=self.managers if known else ())
@@ -89,8 +89,8 @@ class StartingRos(ManagedRos):
         topics = self.seen.get(node, self.seen["/planner"] if node.startswith("/planner") else [])
         return [GraphEndpoint(True, topic, "std_msgs/msg/String", QoS()) for topic in topics]
 
-    def _served(self, node: str, services: frozenset[str] | None) -> Served:
-        return super()._served(node, services) if node.startswith("/planner") else Served()
+    def _served(self, node: str, services: frozenset[str] | None, mark: bytes | None) -> Served:
+        return super()._served(node, services, mark) if node.startswith("/planner") else Served()
 
 
 STARTING = (

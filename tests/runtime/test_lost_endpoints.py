@@ -86,6 +86,23 @@ def test_a_roll_back_names_what_has_ended_with_the_new_instance_and_not_what_goe
     managed("talker", tmp_path, body)
 
 
+@pytest.mark.parametrize(("gate", "known"), [("preload", False), (None, False), ("relay", True), ("none", True)])
+def test_with_one_that_was_not_accepted_nothing_ends_but_its_calls(gate: Any, known: bool) -> None:
+    """Where a gate holds it back: another instance of its role has answered all the time."""
+    component = ComponentSpec.of("Talker", gate=gate)
+    serves = [Endpoint(kind="ROS action", name="/drive", serves=True)]
+    state = bare_state("talker_2", node="/talker", serves=serves, calls=["service /map"], looked=True)
+
+    def subjects(latest: LatestState | None) -> list[str]:
+        found = what_ended("talker_2", component, LastKnown(latest), planned=False, spare=True)
+        return [each.words.partition(":")[0] for each in found]
+
+    calls = "requests and goals of talker_2 that are under way at service /map"
+    assert subjects(LatestState(state, 0.0))[-1] == calls
+    assert (len(subjects(LatestState(state, 0.0))) > 1) is known
+    assert (subjects(None) != []) is known
+
+
 def test_of_a_node_without_the_api_the_graph_says_it_once_it_has_been_asked() -> None:
     def said(**seen: Any) -> list[str]:
         state = bare_state("talker", node="/talker", **seen)

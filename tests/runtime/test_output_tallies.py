@@ -11,7 +11,8 @@ import pytest
 
 from midstride.model.action import Action, Attach, Detach, Handover, Swap
 from midstride.model.component import PortRef
-from midstride.runtime.watch.output_tallies import OutputTallies, _Begun
+from midstride.runtime.records.measure import SwapReport
+from midstride.runtime.watch.output_tallies import OutputTallies, _Begun, recorded_topics
 from midstride.runtime.watch.subscriber_recording import Exchange
 from midstride.verdicts.assessment import Assessment
 from midstride.wire.state import LinkState
@@ -102,19 +103,30 @@ def test_a_silence_that_a_count_does_not_show_is_not_excluded() -> None:
     whole = {"last": 1040, "resumed": False, "window": 9.0}
     (words,) = said(410, **whole, only_counted=True)  # type: ignore[arg-type]
     assert words == (
-        "whether /chat was silent for up to 900 ms: the messages of talker_2.out were counted over 9.00 s, and nothing "
-        "in the system receives them"
+        "whether /chat was silent for up to 900 ms: the messages of talker_2.out were counted over 9.00 s, and no "
+        "subscriber in the system has recorded them"
     )
     assert said(410, **whole, only_counted=True, received=["/chat"]) == []  # type: ignore[arg-type]
     assert said(410, **whole) == []  # type: ignore[arg-type]  # with the API
     assert said(160, 1040, resumed=False, only_counted=True) == []  # 0.4 s of 4 s
 
 
+def test_a_subscriber_that_knows_its_longest_gap_has_recorded_its_topic() -> None:
+    """As after a roll-back, when what was missed is not known."""
+
+    def row(topic: str, gap: float | None, missed: int | None) -> SwapReport:
+        return SwapReport(topic, "listener.in", 0.05, gap, None, missed, None, None)
+
+    swaps = [row("/gap", 0.2, None), row("/missed", None, 1), row("/neither", None, None)]
+    assert recorded_topics(swaps) == {"/gap", "/missed"}
+
+
 def test_a_lifecycle_node_that_is_active_need_not_write() -> None:
     found = said(0, None, resumed=False, inactive=0.3)
     assert len(found) == 2 and found[0].startswith("/chat was silent while no node")
     assert found[1] == (
-        "when /chat was written again: nothing counts the messages of talker_2.out, or receives them in the system"
+        "when /chat was written again: nothing counts the messages of talker_2.out, and no subscriber in the system "
+        "has recorded them"
     )
     assert len(said(0, None, resumed=False, inactive=0.3, received=["/chat"])) == 1
     assert said(0, None, resumed=False, inactive=0.0) == []

@@ -27,7 +27,7 @@ from midstride.wire.commands import (
     ResolveCutsCommand,
     SetParametersCommand,
 )
-from midstride.wire.state import LinkState
+from midstride.wire.state import NOT_WELCOMED, LinkState
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import REFUSED, TALKER, TIMEOUT, UNREACHABLE, Bench, bench, instance, reported, talking
@@ -201,6 +201,21 @@ def test_what_the_end_of_a_half_done_instance_has_cost_is_said(refuses: bool, tm
         assert words.endswith(f"{killed}: what it does at its end is lost")
 
     bench(TWICE, tmp_path, body)
+
+
+def test_one_that_was_just_started_ends_without_a_loss_beside_another_one_of_its_role(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        state = reported(NEW, b.configuration, parameters={"gain": 50.0, "unit": "m"})
+        state = structs.replace(state, declared={"gain": 1.0, "unit": "m"}, waiting=NOT_WELCOMED)
+        b.client.report(state)
+        assert await recovered(b) == RUNNING
+        assert b.words("half_done") == [
+            "stopped talker_2, which an earlier manager had just started, within 0 ms; talker goes on; it wrote on no "
+            "topic of a port, and nothing is known to have been lost with it"
+        ]
+        assert b.client.of(SetParametersCommand) == [], "what was set on the one that goes on stays as it is"
+
+    bench(RUNNING.with_instance(NEW), tmp_path, body)
 
 
 def test_where_only_the_one_that_is_ended_wrote_its_topic_may_have_been_silent(tmp_path: Path) -> None:

@@ -121,20 +121,24 @@ def _unseen(window: float, rate: float) -> float:
 def silent_between_counts(topic: str, port: str, window: float, rate: float) -> Assessment | None:
     """A count that lacks nothing shows no silence that is as short as what it tolerates; None where that is short.
 
-    For an output that no subscriber of the system hears. One that wrote nothing before (0 Hz) does not fall silent.
+    For an output whose messages no subscriber of the system has recorded. One that wrote nothing before (0 Hz) does not
+    fall silent.
     """
     if rate == 0 or (seconds := _unseen(window, rate) / rate) <= SHORT:
         return None
     words = (
         f"whether {topic} was silent for up to {seconds_in_words(seconds)}: the messages of {port} were counted over "
-        f"{seconds_in_words(window)}, and nothing in the system receives them"
+        f"{seconds_in_words(window)}, and no subscriber in the system has recorded them"
     )
     return Assessment(topic, "not_measurable", words)
 
 
 def written_by_lifecycle(topic: str, port: str) -> Assessment:
-    """A lifecycle node is active, which is not that it writes: for an output that no subscriber of the system hears."""
-    words = f"when {topic} was written again: nothing counts the messages of {port}, or receives them in the system"
+    """A lifecycle node is active, which is not that it writes: for an output that no subscriber has recorded."""
+    words = (
+        f"when {topic} was written again: nothing counts the messages of {port}, and no subscriber in the system has "
+        "recorded them"
+    )
     return Assessment(topic, "not_measurable", words)
 
 

@@ -73,7 +73,7 @@ from midstride.runtime.records.reports import Outcome, StepTime, killed_processe
 from midstride.runtime.watch.degradation_report import remaining_degradations
 from midstride.runtime.watch.degradation_timer import DegradationTimer
 from midstride.runtime.watch.other_nodes import OtherNodesWatch
-from midstride.runtime.watch.output_tallies import OutputTallies
+from midstride.runtime.watch.output_tallies import OutputTallies, recorded_topics
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verdicts import change_facts
 from midstride.verify.verdict import Verdict
@@ -383,8 +383,8 @@ class ChangeSession:
         assert change.outcome is not None
         await change.entry.end(change.outcome, change.because, execution.seconds)
         swaps = await self._measure(driver, execution)
-        received = {each.topic for each in swaps if each.missed is not None}
-        at_outputs = await tallies.assessments(driver.last_numbers, received, resumed=change.outcome != "done")
+        resumed = change.outcome != "done"
+        at_outputs = await tallies.assessments(driver.last_numbers, recorded_topics(swaps), resumed=resumed)
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         await change.entry.measured(swaps)

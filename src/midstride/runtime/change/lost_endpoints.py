@@ -20,7 +20,7 @@ from midstride.runtime.instance_life import LatestState
 from midstride.runtime.process.launcher import LastKnown
 from midstride.verdicts import assessment, change_facts
 from midstride.verdicts.assessment import Assessment
-from midstride.wire.state import ComponentState, Endpoint
+from midstride.wire.state import NOT_WELCOMED, ComponentState, Endpoint
 
 # How the words for a ROS action begin.
 ACTION: Final = "ROS action "
@@ -96,9 +96,11 @@ def endpoints_that_ended(
     for name, instance in planned_instances(plan).items():
         if (known := ended_instances.get(name)) is None:
             continue
+        start = plan.change.start
+        spare = name not in start.instances and bool(start.instances_of(instance.role)) and not _accepted(known)
         beside = created.get(instance.role) if instance.role in together else None
         known_now = _as_planned(known, states.get(name))
-        yield from what_ended(name, instance.component, known_now, planned=False, beside=beside)
+        yield from what_ended(name, instance.component, known_now, planned=False, beside=beside, spare=spare)
         if instance.role in created and instance.role in together:
             old, new = instance.component, created[instance.role]
             yield from two_writers(instance.role, known, old, new, together[instance.role])
@@ -113,6 +115,11 @@ def _as_planned(known: LastKnown, before: LatestState | None) -> LastKnown:
     return replace(known, latest=LatestState(structs.replace(state, starting=starting), known.latest.at))
 
 
+def _accepted(known: LastKnown) -> bool:
+    """Return whether a manager has accepted an instance, as far as is known."""
+    return known.latest is not None and known.latest.state.waiting != NOT_WELCOMED
+
+
 def what_ended(
     name: str,
     component: ComponentSpec,
@@ -121,15 +128,23 @@ def what_ended(
     planned: bool,
     new: str = "it had just been started",
     beside: ComponentSpec | None = None,
+    spare: bool = False,
 ) -> Iterator[Assessment]:
     """Assess what ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
     two nodes with the library in their processes, the successor goes on with each service and ROS action; where it has
     another name, not with those below the old one. Where one of the two has the API, it goes on with each service. The
-    old one goes on with the goals that it has accepted, as does a component with the API beside another one.
+    old one goes on with the goals that it has accepted, as does a component with the API beside another one. ``spare``:
+    no manager has accepted it, and another instance of its role runs: that answers, as long as something holds this one
+    back, so it ends with no more than what it has called.
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
+    called = [f"{each.kind} {each.name}" for each in own if each.kind != "topic" and not each.serves]
+    if spare and (component.gate is None or component.preloads):
+        if called := [*called, *(() if state is None else state.calls)]:
+            yield change_facts.calls_end_with(name, called, planned=planned)
+        return
     if component.gate == "relay":  # which answers for its program, and not of it
         because = "it is behind a relay, which passes on its messages and the requests to its declared servers alone"
         if beside is not None:
@@ -147,7 +162,6 @@ def what_ended(
     if both and beside is not None and component.gate is None and beside.gate is not None:
         facts = change_facts.answered_if_offered if beside.preloads else change_facts.answered_by_both
         yield facts(name, both, planned=planned)
-    called = [f"{each.kind} {each.name}" for each in own if each.kind != "topic" and not each.serves]
     if state is not None:
         if state.starting:
             yield change_facts.management_unknown(name, state.starting, planned=planned)

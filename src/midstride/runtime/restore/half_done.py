@@ -44,15 +44,19 @@ class HalfDone:
         state: ComponentState,
         because: str,
         goes_on: tuple[Instance, ComponentState] | None = None,
+        *,
+        accepted: bool = True,
     ) -> None:
         """End ``instance``, which was last in ``state``.
 
         ``goes_on``: the one of its role that goes on, and its state; it gets the values that were set last.
-        ``because``: what the ended one is. If it cannot be ended, that is said, and `down` tries again.
+        ``because``: what the ended one is. ``accepted``: by an earlier manager; beside another one of its role, it has
+        had no requests and no values of its own until then. If it cannot be ended, that is said; `down` tries again.
         """
         name, clock, before = instance.name, self.client.clock, self.events.last
         other, stays = goes_on or (None, None)
-        values = None if other is None else self.values.between(instance, other)
+        spare = other is not None and not accepted
+        values = None if other is None or spare else self.values.between(instance, other)
         # Its agent is new, and has not seen the manager yet.
         await look_at_managers(self.client, name, instance.component, PLAN_LOOK)
         if values is not None:
@@ -73,19 +77,14 @@ class HalfDone:
         known = self.launcher.last_known.get(name, LastKnown(None))
         if known.latest is not None:
             state = known.latest.state
-        lost = dict(sorted(state.set_values().items())) if values is None else await values.lost(state)
-        found = [
-            *_outputs(state, stays),
-            *([change_facts.values_lost(name, lost)] if lost else []),
-            *_unknown(instance, state, stays),
-            *what_ended(
-                name,
-                instance.component,
-                known,
-                planned=False,
-                new="this manager had just been started",
-                beside=None if other is None else other.component,
-            ),
+        found = [*_outputs(state, stays)]
+        if not spare:
+            lost = dict(sorted(state.set_values().items())) if values is None else await values.lost(state)
+            found += [change_facts.values_lost(name, lost)] if lost else []
+            found += _unknown(instance, state, stays)
+        new, beside = "this manager had just been started", None if other is None else other.component
+        found += [
+            *what_ended(name, instance.component, known, planned=False, new=new, beside=beside, spare=spare),
             *(change_facts.managed_end(name, reasons) for reasons in [state.managed] if reasons),
             *self._others(name),
             *(

@@ -47,6 +47,7 @@ async def recover(
     launcher, client, events = half_done.launcher, half_done.client, half_done.events
     found: dict[str, tuple[Instance, ComponentState]] = {}
     done: dict[str, Instance] = {}
+    just_started: list[tuple[Instance, ComponentState]] = []
     hanging: list[str] = []
     for entry in saved:
         instance, handle = entry.instance, entry.handle
@@ -74,12 +75,15 @@ async def recover(
             await launcher.abandon(instance.name)
             continue
         if state.waiting == NOT_WELCOMED and handle is not None:  # what it is has not been checked
-            await half_done.end(instance, state, "which an earlier manager had just started")
+            just_started.append((instance, state))
             continue
         found[instance.name] = (instance, state)
         events.add("adopted", f"{instance.name} was reattached unchanged")
     if hanging:
         raise Unreachable("; ".join(hanging))
+    for instance, state in just_started:
+        goes_on = next((each for each in found.values() if each[0].role == instance.role), None)
+        await half_done.end(instance, state, "which an earlier manager had just started", goes_on, accepted=False)
     for each in done.values():
         client.life.record(each.name, ProcessEvent.COMPLETED)
     for name in await launcher.end_orphans(found):

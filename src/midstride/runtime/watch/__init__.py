@@ -3,5 +3,5 @@
 PUBLIC = (
     "DegradationTimer DiscoveryWatch OtherNodesWatch OutputTallies Recording ReportedValues SilenceMonitor "
     "changed_attachments degradations_in_words differs observe own_degradations own_degradations_in "
-    "remaining_degradations reported_modes stretch_of unsupported_modes with_attachments"
+    "recorded_topics remaining_degradations reported_modes stretch_of unsupported_modes with_attachments"
 )

@@ -7,7 +7,7 @@ SHORT, or where a part of the count is missing, nothing is known, and that is sa
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from midstride.errors import MidstrideError
@@ -17,6 +17,7 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.watch.subscriber_recording import Exchange, exchanges
 from midstride.verdicts import change_facts
 from midstride.verdicts.assessment import Assessment
@@ -139,6 +140,14 @@ class OutputTallies(ChangeObserver):
             return by_old
         by_new = last_numbers.get(new)  # it wrote until the topic was handed back
         return None if by_old is None or by_new is None else by_old + by_new
+
+
+def recorded_topics(swaps: Iterable[SwapReport]) -> set[str]:
+    """The topics of which a subscriber in the system shows how long it received nothing, or what it missed.
+
+    Of a change that was rolled back before the new side wrote, it may show the silence alone.
+    """
+    return {each.topic for each in swaps if each.gap is not None or each.missed is not None}
 
 
 def _rate(components: Mapping[str, ComponentSpec], port: PortRef) -> float | None:

@@ -297,8 +297,8 @@ class Ros2Backend(ContainerBackend, Backend):
     def _graph_of(self, node: str, mark: bytes | None) -> list[GraphEndpoint]:
         return [] if self._context is None else self._graph.of_process(node, mark)
 
-    def _served_by(self, node: str, services: frozenset[str] | None) -> Served:
-        return Served() if self._context is None else self._graph.served_by(node, services)
+    def _served_by(self, node: str, services: frozenset[str] | None, mark: bytes | None) -> Served:
+        return Served() if self._context is None else self._graph.served_by(node, services, mark)
 
     def _nodes_in(self, enclave: str) -> list[str]:
         return [] if self._context is None else self._graph.of_enclave(enclave)

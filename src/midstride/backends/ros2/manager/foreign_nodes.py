@@ -57,8 +57,8 @@ from midstride.wire.transport import Transport
 
 # What the graph shows of a node, by its full name and, where its process has one, its mark.
 GraphOf: TypeAlias = Callable[[str, bytes | None], Sequence[GraphEndpoint]]
-# What a node serves, by its full name and, where they are known, the full names of its services.
-ServedBy: TypeAlias = Callable[[str, frozenset[str] | None], Served]
+# What a node serves, by its full name and, where they are known, the full names of its services and its mark.
+ServedBy: TypeAlias = Callable[[str, frozenset[str] | None, bytes | None], Served]
 # What the node of a page with this full name and index can be asked, and whether no other had its name at its start.
 Addressed: TypeAlias = Callable[[str, Page, int, bool], NodeServices]
 # Has the node of a record loaded within a time (s).
@@ -293,8 +293,20 @@ class ForeignNodes:
         if not launch.predecessor or self._served is None:
             return ""
         node, old = self._node_name(launch.predecessor, launch.namespace), self._agents.get(launch.predecessor)
-        services = None if old is None else self._servers(old.node.record)
-        return node if self._served(node, services).has_lifecycle else ""
+        record = None if old is None else old.node.record
+        found = self._served(node, None, None) if record is None else self._served_now(self._served, record)
+        return node if found.has_lifecycle else ""
+
+    def _served_now(self, served: ServedBy, record: ForeignRecord) -> Served:
+        """Ask ``served`` for what the node of an instance serves, of those of its name.
+
+        While its library has seen no service of it yet, the graph would list those of another node of that name.
+        """
+        services = self._servers(record)
+        others = [each.node.record for each in self._agents.values() if each.node.record.instance != record.instance]
+        if services is None and record.index is not None and record.node in {each.node for each in others}:
+            return Served()
+        return served(record.node, services, self._mark(record))
 
     def _servers(self, record: ForeignRecord) -> frozenset[str] | None:
         """The services that the gate inside the process sees; None where there is none, or it sees none.
@@ -553,7 +565,7 @@ class ForeignNodes:
             self._peers,
             None if (graph := self._graph) is None else lambda: graph(record.node, self._mark(record)),
             self._reported,
-            served=None if (served := self._served) is None else lambda: served(record.node, self._servers(record)),
+            served=None if (served := self._served) is None else lambda: self._served_now(served, record),
             before=before or (),
             predecessor=self._services_of_predecessor(record, old) if follows else None,
             managers=self._managers,

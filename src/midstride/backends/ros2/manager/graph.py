@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
 from rclpy.node import NodeNameNonExistentError
@@ -180,18 +180,21 @@ class Graph:
         """The topics that a node publishes on, without those of every node."""
         return sorted(topic for topic in self._topics_of(node, True) if not is_infrastructure(topic, output=True))
 
-    def served_by(self, node: str, services: Collection[str] | None = None) -> Served:
+    def served_by(self, node: str, services: Collection[str] | None = None, mark: bytes | None = None) -> Served:
         """The services and ROS actions of a node that others may rely on, and whether it is a lifecycle node.
 
         ``services``: the full names of all that it has, where they are known: of several nodes of one name, the graph
-        lists those of one.
+        lists those of one. ``mark``: the identity of an endpoint of its process, which tells the types that this
+        process serves from those of others.
         """
         try:
             if services is None:
                 found = self._node.get_service_names_and_types_by_node(*split_name(node))
             else:
                 shown = self._node.get_service_names_and_types()
-                found = [(name, types) for name, types in shown if name in services]
+                found = [
+                    (name, self._served_types(node, name, types, mark)) for name, types in shown if name in services
+                ]
         except NodeNameNonExistentError:
             return Served()
         servers = named_servers(found)
@@ -199,6 +202,18 @@ class Graph:
         managers = tuple(self._managers(node)) if has_lifecycle else ()
         own = {server for server in servers if not is_of_every_node(server.name, server.type, node)}
         return Served(tuple(sorted(own)), has_lifecycle, managers, tuple(sorted(self._calls(node))), frozenset(servers))
+
+    def _served_types(self, node: str, service: str, types: Sequence[str], mark: bytes | None) -> list[str]:
+        """The types with which the process with the ``mark`` serves a service, of those that any process does.
+
+        All of them where that is not known. ROS's own services have one type each.
+        """
+        if mark is None or self.rmw.participant is None or all(is_of_every_node(service, each, node) for each in types):
+            return [*types]
+        readers = self._node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True)
+        process = mark[: self.rmw.participant]
+        served = {reader.topic_type for reader in readers if self.rmw.process_of(reader) == process}
+        return [each for each in types if _request_type(each) in served] if readers else [*types]
 
     def _calls(self, node: str) -> set[str]:
         """The services and ROS actions of other nodes that a node may call, in words."""
@@ -345,6 +360,11 @@ def _found(instances: _Instances, process: bytes | str, node: str) -> InstanceNo
     """The instance of that process, and of that node where several are in it."""
     own = instances.get((process, node)) if isinstance(process, bytes) else None
     return instances.get(process) if own is None else own
+
+
+def _request_type(service_type: str) -> str:
+    """Return how the middleware calls the type of the requests to a service."""
+    return f"{service_type.replace('/', '::', 1).replace('/', '::dds_::', 1)}_Request_"
 
 
 def _node(info: Any) -> str:
