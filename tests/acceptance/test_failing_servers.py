@@ -288,7 +288,7 @@ def test_one_serves_on_when_one_of_the_two_has_the_api_and_either_is_killed(
                         assert (await becomes(old, system)).outcome == "done"
                 assert (await becomes(new, system)).outcome == "done"
             await served_by(system, calls)
-        assert reached >= {"cut_in", "await_cut", "answer", "join_requests"}
+        assert reached >= {"cut_in", "await_cut", "answer"}  # a component that has just taken over has joined already
         judge(calls, killer.killed, ends)
 
     with ended():
