@@ -47,8 +47,8 @@ FIND_TIMEOUT: Final = 5.0
 LEAVE_ATTEMPTS: Final = 10
 LEAVE_INTERVAL: Final = 0.05
 # How often, and at which interval (s), the manager looks for a new publisher that others may have found.
-IDENTITY_ATTEMPTS: Final = 20
 IDENTITY_INTERVAL: Final = 0.05
+IDENTITY_ATTEMPTS: Final = round(FIND_TIMEOUT / IDENTITY_INTERVAL)
 
 
 @dataclass(slots=True)
