@@ -272,7 +272,7 @@ void *rcl_service_configure_service_introspection(void)
   return NULL;
 }
 
-int rcl_take_request_with_info(const void *service, struct request_info *info, void *request)
+static int take_request(const void *service, struct request_info *info, void *request)
 {
   static int64_t number, ago = -1;
   struct timespec now;
@@ -288,10 +288,16 @@ int rcl_take_request_with_info(const void *service, struct request_info *info, v
   return 0;
 }
 
+int rcl_take_request_with_info(const void *service, struct request_info *info, void *request)
+{
+  return take_request(service, info, request);
+}
+
+/* As with -Bsymbolic-functions, by which a library's calls of its functions reach no preloaded library. */
 int rcl_take_request(const void *service, struct request_id *id, void *request)
 {
   struct request_info info;
-  int result = rcl_take_request_with_info(service, &info, request);
+  int result = take_request(service, &info, request);
   *id = info.id;
   return result;
 }

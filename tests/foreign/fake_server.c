@@ -1,7 +1,8 @@
 /* A server: `fake_server SERVICE`. It does what each line of its input says, and then writes a line: `take` takes a request,
- * `answer N` answers the one of that number (from 1), `wait MS` waits for requests for so long, as an executor does, of
- * which none comes, and `events` has a callback called for each instead. `fake_server SERVICE REQUESTS`: takes and answers
- * so many, and writes how much processor time one takes (ns); with a further argument, by the other function that takes.
+ * `plain` by the function that does not say when it was received, `answer N` answers the one of that number (from 1),
+ * `wait MS` waits for requests for so long, as an executor does, of which none comes, and `events` has a callback called for
+ * each instead. `fake_server SERVICE REQUESTS`: takes and answers so many, and writes how much processor time one takes (ns);
+ * with a further argument, by the other function that takes.
  * It uses a copy of what rcl has initialized, as rclcpp does with the servers of a lifecycle node. */
 #define _GNU_SOURCE
 #include <stdint.h>
@@ -86,6 +87,8 @@ int main(int count, char **arguments)
     long number = strchr(line, ' ') ? atol(strchr(line, ' ') + 1) : 0;
     if (strncmp(line, "take", 4) == 0)
       rcl_take_request_with_info(&service, &info, request);
+    else if (strncmp(line, "plain", 5) == 0)
+      rcl_take_request(&service, &info.id, request);
     else if (strncmp(line, "answer", 6) == 0) {
       info.id.number = number;
       rcl_send_response(&service, &info.id, response);

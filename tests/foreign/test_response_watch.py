@@ -209,9 +209,10 @@ def test_the_page_says_since_when_the_oldest_request_waits_and_how_long_the_last
         assert 0 <= served.port.took[0] <= (time.monotonic_ns() - between) / 1e3
 
 
-def test_it_waits_since_the_middleware_has_received_it(lab: Lab) -> None:
+@pytest.mark.parametrize("take", ["take", "plain"])
+def test_it_waits_since_the_middleware_has_received_it(lab: Lab, take: str) -> None:
     with server(lab, FAKE_RECEIVED_MS="700") as served:
-        served.does("take")
+        served.does(take)
         assert 0.7 * S <= time.monotonic_ns() - served.port.waiting < 60 * S
         served.does("answer 1")
         assert 0.7e6 <= served.port.took[0] < 60e6

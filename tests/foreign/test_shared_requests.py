@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from midstride.foreign.sharing_components import place, share_requests
+from midstride.node.control import service_answering
+from midstride.node.control.service_answering import SHARE_INTERVAL, Answering
 from midstride.node.request_admission import HOLD, LEFT_OVER, PassableRequest, RequestAdmission
 from midstride.node.shared_requests import RequestsSlot
+from midstride.wire.commands import JoinRequestsCommand
 from midstride.wire.replies import SharedRequestsPlace
 from tests.foreign.lab import Lab, until, variables
 
@@ -188,6 +192,54 @@ def test_one_that_ends_begins_no_request_but_those_that_only_it_has() -> None:
     assert component.handled == ["1 1"]
 
 
+def test_what_is_still_handled_when_it_joins_is_waited_for() -> None:
+    component, page = Component(is_open=True), Page("own")
+    for request in ("1 1", "1 2", "goal 1"):
+        assert component.admission.admit(request, lambda: None)
+    component.admission.finished("1 1")
+    component.admission.share(page)
+    assert (page.taken, page.unanswered) == ({"1 1", "1 2"}, 1)
+    component.admission.finished("1 2")
+    component.admission.finished("goal 1")
+    assert page.unanswered == 0
+
+
+def test_it_leaves_the_page_only_in_a_moment_in_which_it_is_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another node may come at any time, and is to find it there."""
+    events, tasks, none = list[str](), list[asyncio.Task[None]](), cast(Any, None)
+
+    class Slot(Page):
+        def __init__(self, where: SharedRequestsPlace) -> None:
+            super().__init__("own")
+            self.place = where
+
+        def serve(self, services: set[str]) -> None: ...
+
+        @property
+        def is_alone(self) -> bool:
+            events.append("is alone")
+            return True
+
+        def leave(self) -> None:
+            events.append("leaves")
+
+    async def sleep(seconds: float) -> None:
+        events.append("sleeps")
+
+    def start(work: Coroutine[Any, Any, None]) -> None:
+        tasks.append(asyncio.get_running_loop().create_task(work))
+
+    async def main() -> None:
+        answering = Answering(Component(is_open=True).admission, none, lambda: None, start, sleep, str)
+        await answering.join(JoinRequestsCommand(place=SharedRequestsPlace(page="page", library="library", index=0)))
+        await asyncio.gather(*tasks)
+
+    monkeypatch.setattr(service_answering, "RequestsSlot", Slot)
+    asyncio.run(main())
+    assert events[-2:] == ["is alone", "leaves"]
+    assert events.count("sleeps") >= round(HOLD / SHARE_INTERVAL) - 1
+
+
 def joined(lab: Lab, of: int | None = None) -> RequestsSlot:
     return RequestsSlot(place(lab.page, share_requests(lab.page, "component", of)))
 
@@ -222,6 +274,22 @@ def test_of_two_that_claim_at_once_one_does(lab: Lab, seed: int) -> None:
     assert own.answers() and own.is_alone, "it has left"
 
 
+def test_of_two_nodes_with_the_library_one_claims_while_a_component_shares_the_role(lab: Lab) -> None:
+    """It has no such service, so both claim at once, each request."""
+    page, own = lab.page, joined(lab)
+    processes = []
+    indices = [page.allocate(name) for name in ("old", "new")]
+    for index in indices:
+        page.have_requests(index, own.place.index)
+    for index in indices:
+        given = variables(page.path, lab.programs, lab.library, lab.log, index)
+        command = [str(lab.programs / "server"), "/count", str(REQUESTS)]
+        processes.append(subprocess.Popen(command, env=given, stdout=subprocess.DEVNULL))
+    assert [process.wait(60) for process in processes] == [0, 0]
+    assert sum(int(page.servers(index)["/count"].passed) for index in indices) == REQUESTS
+    own.leave()
+
+
 def asked(connection: Connection, where: SharedRequestsPlace) -> None:
     """The component in another process: a process does not see its own locks. It does what it is asked."""
     own = RequestsSlot(where)
@@ -237,6 +305,7 @@ def elsewhere(where: SharedRequestsPlace) -> Iterator[Callable[..., Any]]:
     here, there = get_context("spawn").Pipe()
     process = get_context("spawn").Process(target=asked, args=(there, where))
     process.start()
+    there.close()  # else nothing would tell that it has ended
 
     def ask(*what: Any) -> Any:
         here.send(what)

@@ -176,8 +176,11 @@ class RequestAdmission:
     def share(self, shared: SharedRequests) -> None:
         """Claim each request to a service from now on, and answer when ``shared`` says so. Call :meth:`look` often."""
         with self._lock:
+            for request in filter(_is_to_a_service, self._unfinished):  # which the other one waits for
+                if shared.claim(request):
+                    self._claimed.add(request)
             for request in list(self._handled)[-BEFORE:]:
-                if _is_to_a_service(request):
+                if _is_to_a_service(request) and request not in self._claimed:
                     shared.note_claimed(request)
             for request, held in self._held.items():
                 if held.about is None and held.asks_for is None:

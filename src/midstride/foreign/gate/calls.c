@@ -53,7 +53,7 @@ bool has_to_leave(unsigned me)
   if (!me)
     return false;
   struct node *owner = &page->nodes[me - 1];
-  uint32_t used = atomic_load_explicit(&owner->used, memory_order_acquire);
+  uint32_t used = atomic_load(&owner->used); /* not before this thread is counted, as the manager looks in the other order */
   return used & LEAVES || (!used && owner != node); /* a container has said that it has unloaded it */
 }
 

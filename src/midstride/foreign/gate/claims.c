@@ -73,6 +73,17 @@ bool answers(struct requests *requests, const struct entry *entry)
   return !other || !has_service(other, entry);
 }
 
+void count_answered(struct page *shared, struct requests *requests, unsigned me)
+{
+  _Atomic uint32_t *unanswered = &shared->nodes[me - 1].unanswered;
+  uint32_t left = atomic_load(unanswered);
+  while (left && !atomic_compare_exchange_weak(unanswered, &left, left - 1))
+    ;
+  uint64_t word = requests ? atomic_load(&requests->word) : 0;
+  if (left == 1 && BEFORE(word) == me && ANSWERING(word) && !(word & BEGUN))
+    midstride_ring(shared, ANSWERING(word) - 1);
+}
+
 uint64_t client_key(const struct request_id *id)
 {
   return key_of(id->client, sizeof id->client);
@@ -149,18 +160,19 @@ static bool claim_number(struct requests *requests, const struct request_id *id,
 bool claim_request(struct requests *requests, const struct request_info *info, bool only_look)
 {
   uint64_t claimed = identity_of(info->sent, info->id.number) | CLAIMED;
+  /* First: so of two nodes with the library one notes it, and neither takes the note of the other for that of a component. */
+  if (!claim_number(requests, &info->id, only_look))
+    return false;
   uint32_t own = only_look ? NOWHERE : note_known(requests, claimed);
-  if (is_mixed(requests)) {
-    if (!only_look) { /* a component may be between its look and its note */
-      pthread_mutex_lock(&client_lock);
-      lock_places(requests, OF_KNOWN, F_WRLCK);
-      lock_places(requests, OF_KNOWN, F_UNLCK);
-      pthread_mutex_unlock(&client_lock);
-    }
-    if (is_known(requests, claimed, own))
-      return false;
+  if (!is_mixed(requests))
+    return true;
+  if (!only_look) { /* a component may be between its look and its note */
+    pthread_mutex_lock(&client_lock);
+    lock_places(requests, OF_KNOWN, F_WRLCK);
+    lock_places(requests, OF_KNOWN, F_UNLCK);
+    pthread_mutex_unlock(&client_lock);
   }
-  return claim_number(requests, &info->id, only_look);
+  return !is_known(requests, claimed, own);
 }
 
 void note_seen(struct requests *requests, unsigned me, const struct request_id *id)

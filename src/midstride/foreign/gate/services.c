@@ -57,10 +57,6 @@ EXPORT int rcl_service_set_on_new_request_callback(const void *service, void (*c
   return real_rcl_service_set_on_new_request_callback()(service, callback, context);
 }
 
-/* Of the two functions that take a request, one may call the other: then that one knows when the request was received. */
-static _Thread_local bool taking;
-static _Thread_local int64_t received, sent;
-
 /* A clock that is set by more than this between the arrival of a request and its being taken is noticed (ns). */
 #define LONGEST_WAIT INT64_C(60000000000)
 
@@ -77,27 +73,14 @@ static int64_t arrival(int64_t by_the_middleware)
   return waited > 0 && waited < LONGEST_WAIT ? now - waited : now;
 }
 
-/* Take a request from the middleware. */
-static int take_new(const void *service, struct request_info *info, void *request, bool with_info)
-{
-  int result = with_info ? real_rcl_take_request_with_info()(service, info, request)
-                         : real_rcl_take_request()(service, &info->id, request);
-  if (with_info && result == 0) {
-    received = info->received;
-    sent = info->sent;
-  }
-  info->sent = sent;
-  return result;
-}
-
 /* Take a request for the node of `entry`, or one that was held; it holds those that come while it leaves. */
-static int take_for(struct entry *entry, const void *service, struct request_info *info, void *request, bool with_info)
+static int take_for(struct entry *entry, const void *service, struct request_info *info, void *request)
 {
   struct requests *requests = requests_of(entry->me);
   bool leaves = has_to_leave(entry->me);
   if (!leaves && requests && take_held(entry, requests, info, request))
     return 0;
-  int result = take_new(service, info, request, with_info);
+  int result = real_rcl_take_request_with_info()(service, info, request);
   if (result != 0)
     return result;
   begin_loading(entry->port->topic);
@@ -112,7 +95,7 @@ static int take_for(struct entry *entry, const void *service, struct request_inf
   struct taken *taken = NULL;
   switch (turn_with(requests, entry, &subject, &info->id, now_ns(), false, answers(requests, entry))) {
   case ANSWER:
-    if (!begin_request(requests, entry, info, &subject, arrival(received), &taken))
+    if (!begin_request(requests, entry, info, &subject, arrival(info->received), &taken))
       return NO_REQUEST;
     remember(entry, taken);
     note_setting(entry, request);
@@ -134,17 +117,13 @@ static int take_for(struct entry *entry, const void *service, struct request_inf
   return NO_REQUEST;
 }
 
-static int take_request(const void *service, struct request_info *info, void *request, bool with_info)
+static int take_request(const void *service, struct request_info *info, void *request)
 {
-  if (taking)
-    return take_new(service, info, request, with_info);
   struct entry *entry = find_server(service);
   end_input();
   begin_call(entry ? entry->me : 0);
-  taking = true;
-  received = sent = 0;
-  int result = entry ? take_for(entry, service, info, request, with_info) : take_new(service, info, request, with_info);
-  taking = false;
+  int result = entry ? take_for(entry, service, info, request)
+                     : real_rcl_take_request_with_info()(service, info, request);
   if (result != 0)
     begin_call(0);
   return result;
@@ -152,13 +131,15 @@ static int take_request(const void *service, struct request_info *info, void *re
 
 EXPORT int rcl_take_request_with_info(const void *service, struct request_info *info, void *request)
 {
-  return take_request(service, info, request, true);
+  return take_request(service, info, request);
 }
 
+/* In librcl, too, it is the same without the times. But a call within librcl does not reach this library where that is linked
+ * with -Bsymbolic-functions, as packages for Ubuntu are by default; and the times are needed. */
 EXPORT int rcl_take_request(const void *service, struct request_id *id, void *request)
 {
   struct request_info info = {.id = *id};
-  int result = take_request(service, &info, request, false);
+  int result = take_request(service, &info, request);
   *id = info.id;
   return result;
 }

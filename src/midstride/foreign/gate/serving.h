@@ -54,6 +54,9 @@ bool has_ended(unsigned index);
 unsigned answers_before(struct page *shared, int file, struct requests *requests, unsigned me);
 /* Whether the node of `entry` answers the requests to its service now. */
 bool answers(struct requests *requests, const struct entry *entry);
+/* The node `me` (index + 1) has answered a request that it had claimed, or is not to be waited for any longer. Where it was the
+ * last one, the node that answers next is told. */
+void count_answered(struct page *shared, struct requests *requests, unsigned me);
 /* What distinguishes a client, from the identity of its writer; not 0. */
 uint64_t client_key(const struct request_id *id);
 /* The part of a client. Where all are used, it is that of the one from which nothing has been heard for longest. */

@@ -173,15 +173,8 @@ EXPORT int midstride_known(struct slot *slot, int64_t sent, int64_t number)
 /* It has answered a request that it had claimed. */
 EXPORT void midstride_answered(struct slot *slot)
 {
-  struct node *own = &slot->page->nodes[slot->index];
-  struct requests *requests = shared_requests(slot);
-  atomic_store(&own->answered, now_ns());
-  uint32_t left = atomic_load(&own->unanswered);
-  while (left && !atomic_compare_exchange_weak(&own->unanswered, &left, left - 1))
-    ;
-  uint64_t word = requests ? atomic_load(&requests->word) : 0;
-  if (left == 1 && BEFORE(word) == slot->index + 1 && ANSWERING(word) && !(word & BEGUN))
-    midstride_ring(slot->page, ANSWERING(word) - 1);
+  atomic_store(&slot->page->nodes[slot->index].answered, now_ns());
+  count_answered(slot->page, shared_requests(slot), slot->index + 1);
 }
 
 /* It is to answer from now on; the other node has until `until` (CLOCK_MONOTONIC, ns) for what it has taken. */

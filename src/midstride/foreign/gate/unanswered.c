@@ -118,15 +118,9 @@ struct taken *recall(struct entry *entry, const struct request_id *id)
 
 void answered(struct entry *entry, struct requests *requests, const struct request_id *id, bool sent)
 {
-  struct node *own = &page->nodes[entry->me - 1];
-  atomic_store(&own->answered, now_ns());
+  atomic_store(&page->nodes[entry->me - 1].answered, now_ns());
   if (entry->service == GET_RESULT)
     return;
   note_answered(entry, id, sent);
-  uint32_t left = atomic_load(&own->unanswered);
-  while (left && !atomic_compare_exchange_weak(&own->unanswered, &left, left - 1))
-    ;
-  uint64_t word = atomic_load(&requests->word);
-  if (left == 1 && BEFORE(word) == entry->me && ANSWERING(word) && !(word & BEGUN))
-    midstride_ring(page, ANSWERING(word) - 1);
+  count_answered(page, requests, entry->me);
 }

@@ -97,14 +97,15 @@ class Answering:
     async def _share(self, page: RequestsSlot) -> None:
         """Until the other one has been gone for so long that nothing arrives that it may have claimed."""
         alone = 0.0
-        while self._page is page and alone < HOLD:
+        while self._page is page:
             page.serve(set(self.admission.passed_handlers))
             if self.admission.look():
                 self.changed()
             alone = alone + SHARE_INTERVAL if page.is_alone else 0.0
+            if alone >= HOLD:  # now, as another one may come at any time
+                self._leave()
+                return
             await self.sleep(SHARE_INTERVAL)
-        if self._page is page:
-            self._leave()
 
     async def _answer_instead(self, page: RequestsSlot, drain: float) -> replies.Answers:
         """Answer once the other one has answered what it has taken, or ``drain`` (s) is over."""
