@@ -133,7 +133,7 @@ class Container:
 
 @contextmanager
 def container(components: Components) -> Iterator[Container]:
-    """One with a neighbour of what is swapped."""
+    """A container that has loaded a neighbour of what is swapped."""
     found = Container(components)
     try:
         found.load(components.talker, "neighbour", "/other")

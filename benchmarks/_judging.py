@@ -22,7 +22,7 @@ JITTER = 0.1
 
 
 def judged(seen: Observation) -> SwapReport:
-    """As docs/protocols/measurement.md has it, but for ``missed`` and ``duplicates``, which need no common slots.
+    """Report a swap as in docs/protocols/measurement.md, but for ``missed`` and ``duplicates``: without common slots.
 
     ``missed``: messages that a talker left out, by its rate, and whole periods of silence beyond the first one where
     another talker follows. ``duplicates``: messages of the first talker while another one already talked, and messages
@@ -46,7 +46,7 @@ def _source(row: Receipt) -> int:
 
 
 def _talkers(rows: Sequence[Receipt]) -> list[Receipt]:
-    """The same rows, where a publisher whose numbers begin anew is another talker: its node was made again."""
+    """Return ``rows`` with another talker where a publisher's numbers begin anew: its node was made again."""
     found: list[Receipt] = []
     last: dict[str, int] = {}
     times = Counter[str]()

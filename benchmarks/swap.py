@@ -1,4 +1,4 @@
-"""What replacing a publisher costs its subscribers, at 50 Hz on real ROS 2, by several ways in one run.
+"""The price of replacing a publisher for its subscribers, at 50 Hz on real ROS 2, by several ways in one run.
 
 Midstride's hand-over, its `paper` strategy, a lifecycle node deactivated and another activated, a
 process killed and another started, and a window in which nothing is swapped (what this machine
@@ -7,7 +7,8 @@ two with a lifecycle. If `--dora` names a folder with its command and its Python
 virtual environment: its `bin`), Dora's `node replace`, with its own transport, where a node of Dora records. All others
 are recorded by a bare recorder outside Midstride; the figures are worked out
 from the rows in the same way for each. Functionality-seconds lost are those of the subscriber that relies on
-the topic: as reported for Midstride, the silence beyond one period for the others. swap_ros1.py does the same on ROS 1.
+the topic: as Midstride reports them where its system has that subscriber, else the silence beyond one period.
+swap_ros1.py does the same on ROS 1.
 """
 
 from __future__ import annotations
@@ -166,7 +167,8 @@ async def midstride(
                 outcome = await manager.change(PlanRequest(replace=(("source", component),), strategy=strategy))
                 way.windows.append((begun, time.monotonic_ns()))
                 way.own.extend(map(encode, outcome.swaps))
-                way.lost_seconds.append(sum(outcome.below_baseline_seconds.values()))
+                if system is None:  # else nothing in it relies on the topic
+                    way.lost_seconds.append(sum(outcome.below_baseline_seconds.values()))
                 if outcome.outcome == "done":
                     component, other = other, component
                 elif outcome.outcome == "rolled_back":  # the subscriber is none the wiser: its window counts as well
@@ -290,7 +292,7 @@ def by_dora(way: Way, programs: Path, swaps: int) -> None:
 
 
 def composed_ways(platform: Platform, swaps: int, components: Components) -> dict[str, Callable[[Way], None]]:
-    """Those of a component in a container."""
+    """The ways to swap a component in a container."""
     from midstride.lang.load import load_text
 
     system = load_text(components.specification()).require()

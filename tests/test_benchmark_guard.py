@@ -1,4 +1,4 @@
-"""What a benchmark has started ends with it, however that ends; each one that starts processes sees to that."""
+"""The processes of a benchmark end with it, however that ends; each one that starts processes sees to that."""
 
 from __future__ import annotations
 

@@ -85,6 +85,6 @@ def test_a_value_stays_whatever_is_assigned(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.parametrize("name", PLANTED)
 def test_what_the_simulation_is_to_find_is_called_as_the_code_of_now(name: str) -> None:
-    """Whether it is found, tests/simulation/test_long.py shows."""
+    """The simulation finds each of them: tests/simulation/test_long.py."""
     with planted(name) as words:
         assert words

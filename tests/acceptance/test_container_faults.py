@@ -172,7 +172,7 @@ def test_one_whose_constructor_hangs_is_never_there_twice(stand_in: StandIn, tmp
 
 
 def test_one_whose_destructor_hangs_has_ended_once_it_returns(stand_in: StandIn, tmp_path: Path) -> None:
-    """Its replacement goes on. The container has one thread, so the others stand still until then."""
+    """The replacement goes on. The container has one thread, so the others stand still until then."""
 
     async def main() -> None:
         async with robot(system(tmp_path), tmp_path, topic="/front/chat") as made:

@@ -205,8 +205,7 @@ def test_parameters_of_plain_nodes_are_set_kept_and_set_back(tmp_path: Path) -> 
             (gain,) = (each for each in outcome.parameters if (each.node, each.parameter) == ("left", "gain"))
             assert gain.set_at == set_at
             assert gain.words == (
-                "left: gain = 0.25, set at run time: kept if the program of Driver declares it "
-                f"(a request has set it at {time_of(set_at)})"
+                f"left: gain = 0.25, set at run time: kept (a request has set it at {time_of(set_at)})"
             )
             assert await values("left") == {"speed": 3.0, "gain": 0.25, "frame": "base"}
             assert await values("right") == {"speed": 3.0, "gain": 0.75, "frame": "base"}

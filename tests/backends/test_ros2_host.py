@@ -944,7 +944,7 @@ def test_acknowledgement_is_unknown_where_a_reader_has_frozen(tmp_path: Path) ->
 
 
 def test_the_process_of_a_component_imports_nothing_of_the_manager_and_no_ros_actions() -> None:
-    """What it imports delays each start: on jazzy, ``rclpy.action`` alone brings in 84 modules of NumPy."""
+    """Imports delay each start: on jazzy, ``rclpy.action`` alone brings in 84 modules of NumPy."""
     code = """
 import sys, midstride
 midstride.Component

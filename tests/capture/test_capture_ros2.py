@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,6 +19,7 @@ from midstride.model.contract import QoS
 from tests.capture.test_capture import checked, of, ports
 from tests.test_ament_index import planted as planted_program
 
+LIFECYCLE = {"change_state": "ChangeState", "get_state": "GetState"}
 RATES = {f"/robot{number % 3}/sensor{number}": 2.0 + number for number in range(10)}
 
 
@@ -72,6 +74,23 @@ def test_a_planted_system_is_captured_exactly(tmp_path: Path, planted: None) -> 
             assert rate is not None
             print(endpoint.node, RATES[endpoint.node], rate)
             assert 0.5 * RATES[endpoint.node] < rate.mean < 1.2 * RATES[endpoint.node]
+
+
+@pytest.mark.ros2
+def test_the_node_of_launch_is_no_lifecycle_manager() -> None:
+    from midstride.backends.ros2.manager.observer import _look_at_services
+
+    served = [(f"/camera/{service}", [f"lifecycle_msgs/srv/{type_}"]) for service, type_ in LIFECYCLE.items()]
+    callers = ("launch_ros_4711", "lifecycle_manager", "launch_ros_tool")
+    node = SimpleNamespace(
+        get_node_names_and_namespaces=lambda: [(name, "/") for name in ("camera", *callers)],
+        get_service_names_and_types_by_node=lambda name, _: served if name == "camera" else [],
+        get_client_names_and_types_by_node=lambda name, _: served if name in callers else [],
+    )
+    graph = ObservedGraph()
+    _look_at_services(node, graph)
+    assert graph.lifecycle == {"/camera"}
+    assert graph.managers_of("/camera") == ["/launch_ros_tool", "/lifecycle_manager"]
 
 
 # Two nodes in a process, of which one has the service by which a container loads nodes.

@@ -277,6 +277,7 @@ def test_values_that_are_stated_and_not_reported_are_listed(monkeypatch: pytest.
     specification = changed(specification, nodes=specification.nodes.set("base", changed(node, sections=sections)))
     value = {"name": "rate", "value": 7, "declared": 7, "set_at_run_time": False}
     reported: list[Any] = []
+    unread: Any = msgspec.UNSET
 
     class Stated:
         def status(self) -> Any:
@@ -287,7 +288,7 @@ def test_values_that_are_stated_and_not_reported_are_listed(monkeypatch: pytest.
 
         def parameters(self, node: str | None = None) -> Any:
             found = msgspec.convert(reported, list[ParameterStatus])
-            return [ParametersReport("base_2", found)]
+            return [ParametersReport("base_2", found, unread)]
 
     monkeypatch.setattr(param, "find", lambda _: (Stated(), None))
     assert run("param", "list")[:2] == (
@@ -303,6 +304,12 @@ def test_values_that_are_stated_and_not_reported_are_listed(monkeypatch: pytest.
     refused = run("param", "get", "base", "frame")
     assert refused[0] == 1 and "frame of base_2 is not known: 'map' is stated; the node has no such" in refused[2]
     assert json.loads(run("param", "list", "--json")[1]) == {"base_2": [value]}
+    unread = "base_2 does not say its parameters: its parameter services do not answer"
+    assert run("param", "list", "base")[1].splitlines() == [
+        "base_2: rate = 7 (when it last answered)",
+        "base_2: frame = 'map' is stated; the node has no such parameter",
+        unread,
+    ]
 
 
 def test_parameters_of_several_nodes_are_set_as_one_change(tuned: Midstride) -> None:

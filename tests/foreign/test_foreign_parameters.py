@@ -137,6 +137,7 @@ def test_what_a_tool_has_set_travels_to_each_replacement(gate: str, tmp_path: Pa
             "driver: speed = 3.0, set at run time: kept",
         ]
         assert [each.words for each in plan.parameters] == words
+        words[0] = f"driver: own = 2.5, {BY_A_TOOL}: kept"
         outcome = await manager.change(REPLACE)
         assert (outcome.outcome, outcome.because) == ("done", None)
         assert [each.words for each in outcome.parameters] == words

@@ -196,6 +196,15 @@ def test_a_node_that_publishes_without_rcl_is_refused_as_soon_as_it_has_settled(
     assert refuses(tmp_path, gate_library, monkeypatch, OUT, False, refused, patience=1e9) == 0
 
 
+def test_a_process_that_has_made_no_node_is_refused_as_such(
+    tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A node of its name may run, with the endpoints that are declared: the one that it is to replace."""
+    late = r"\d s after its start; if it takes longer to start, state `takes 1 s` after its `run` command$"
+    refused = f"the graph shows no node /node of its process, {late}"
+    refuses(tmp_path, gate_library, monkeypatch, None, False, refused)
+
+
 def recorded(component: ComponentSpec, index: int | None = None, **more: Any) -> ForeignRecord:
     """The record of a node of this process that has just been started."""
     declaration = NamedComponentForm.of(component)
@@ -209,12 +218,15 @@ def refuses(
     tmp_path: Path,
     gate_library: Path,
     monkeypatch: pytest.MonkeyPatch,
-    found: GraphEndpoint,
+    found: GraphEndpoint | None,
     answers: bool,
     words: str,
     patience: float = 0.5,
 ) -> int:
-    """A node that the gate sees nothing of, and the graph ``found``, is refused; how often it was asked meanwhile."""
+    """A node that the gate sees nothing of, and the graph ``found``, is refused; how often it was asked meanwhile.
+
+    None: the graph shows no node.
+    """
     monkeypatch.setattr(agent_module, "GRAPH_UNCHANGED", 0.0)
     monkeypatch.setattr(agent_module, "HEARTBEAT", 0.01)
     monkeypatch.setattr(graph_check, "ENDPOINTS_TIMEOUT", 1e9 if answers else patience)
@@ -226,7 +238,7 @@ def refuses(
 
     async def scenario() -> None:
         transport = SocketFolder(tmp_path / "components")
-        agent = ForeignAgent(record, tmp_path, gates, services, graph=lambda: [found])
+        agent = ForeignAgent(record, tmp_path, gates, services, graph=lambda: [] if found is None else [found])
         client = ComponentClient(transport, SystemClock(), TOKEN)
         try:
             await agent.open(transport)

@@ -411,7 +411,7 @@ def test_what_ros_has_discarded_is_still_answered_for_where_the_successor_leaves
 
 
 def test_the_results_of_a_server_that_has_left_the_graph_are_answered_by_the_next_one() -> None:
-    """Those that a client has, and those of another server of the instance, are not kept."""
+    """Results that a client has, and those of another server of the instance, are not kept."""
     goals, one, other = RequestAdmission(lambda: 0).goals, lambda: None, lambda: None
     for goal, cancel_all in (("left", one), ("fetched", one), ("other", other), ("goes on", one)):
         assert goals.accepted(goal, cancel_all)

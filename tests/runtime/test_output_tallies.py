@@ -112,7 +112,7 @@ def test_a_silence_that_a_count_does_not_show_is_not_excluded() -> None:
 
 
 def test_a_subscriber_that_knows_its_longest_gap_has_recorded_its_topic() -> None:
-    """As after a roll-back, when what was missed is not known."""
+    """After a roll-back, what was missed is not known."""
 
     def row(topic: str, gap: float | None, missed: int | None) -> SwapReport:
         return SwapReport(topic, "listener.in", 0.05, gap, None, missed, None, None)

@@ -8,6 +8,7 @@ from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from immutables import Map
 
@@ -147,7 +148,11 @@ def test_a_value_set_by_a_tool_travels_to_the_replacement(folder: Path, strategy
             outcome = await manager.change(changed(RESTART, strategy=strategy))
             assert (outcome.outcome, fates(outcome)) == ("done", {"gain": "kept"}), outcome.because
             assert await values(manager, new) == ({"gain": 1.7, "label": "plain"}, {"gain": 1.5}), old
-        assert outcome.plan is not None and outcome.plan.parameters == outcome.parameters
+        words = "talker: gain = 1.7, set at run time: kept"
+        assert [each.words for each in outcome.parameters] == [words]
+        planned = words if declares else f"{words} if the program of Talker declares it"
+        assert outcome.plan is not None and outcome.plan.parameters is not msgspec.UNSET
+        assert [each.words for each in outcome.plan.parameters] == [planned]
         outcome = await manager.change(changed(REPLACE, strategy=strategy))
         assert (outcome.outcome, fates(outcome)) == ("done", {"gain": "kept"})
         assert await values(manager, "talker_2") == ({"gain": 1.7, "label": "plain"}, {"gain": 2.5})

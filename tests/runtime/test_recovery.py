@@ -189,7 +189,7 @@ def test_what_the_end_of_a_half_done_instance_has_cost_is_said(refuses: bool, tm
             "stopped talker_2, which an earlier manager had left half done, within 0 ms; talker goes on; "
         )
         late = "too late, after the hand-over: gain = 50.0, set at run time: the component refused it"
-        fate = late if refuses else "kept if the program of Talker declares it"
+        fate = late if refuses else "kept"
         assert f"; talker: gain = 50.0, set at run time: {fate}; talker: unit = 'm', set at run time: kept" in words
         sent = [
             (each.instance, each.command) for each in b.client.sent if isinstance(each.command, SetParametersCommand)

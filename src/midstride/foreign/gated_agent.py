@@ -204,7 +204,10 @@ class ForeignAgent:
         waited = asyncio.get_running_loop().time() - begun
         longest = max(GRAPH_TIMEOUT, endpoints_seconds(self.node.component) - waited)
         await self.node.comes_true(lambda: self._servers.shown(served()), longest, every=WATCH)
-        return "; ".join(self._servers.differences(served())) or None
+        differences = self._servers.differences(served())
+        if differences and self._graph is not None and not self._graph():
+            differences = [self._declared.without_node(asyncio.get_running_loop().time() - begun)]
+        return "; ".join(differences) or None
 
     async def _not_up(self) -> str | None:
         """Wait until a node without ports is up, and has taken the place of the one that it replaces; why it has not.
@@ -290,6 +293,8 @@ class ForeignAgent:
         faults = declared.unseen_in_words(past, why)
         whole = waited if waited >= endpoints_seconds(self.node.component) else None
         absent = declared.lacking(found, [port for port in missing if port not in past], whole)
+        if missing and not found:  # another node of its name may have the endpoints
+            absent = [declared.without_node(whole)]
         faults += absent if why is None else [f"{fault}; {why}" for fault in absent]
         faults += declared.differences(found) + self.node.past_the_gate()
         self._failed = "; ".join(faults) or None

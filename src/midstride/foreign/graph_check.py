@@ -140,9 +140,14 @@ class DeclaredEndpoints:
             )
         return words
 
+    def without_node(self, waited: float | None = None) -> str:
+        """A process of which the graph shows no node at all, in words; ``waited`` as in :meth:`lacking`."""
+        words = f"the graph shows no node {self.node} of its process"
+        return words if waited is None else f"{words}, {waited:.0f} s after its start; {_if_it_takes_longer(waited)}"
+
     def _if_later(self, port: str, waited: float) -> str:
         """Return what to state of an endpoint that the program creates later than ``waited`` s after its start."""
-        late = f"if it takes longer to start, state `takes {2 * waited:.0f} s` after its `run` command"
+        late = _if_it_takes_longer(waited)
         if not self.component.has_output(port):
             return late
         return f"{late}; if the topic exists only while something subscribes to it, state `output {port} lazy`"
@@ -222,6 +227,10 @@ class DeclaredEndpoints:
         owner = self.component.find_owner(port)
         guarantee = NOTHING if owner is None else owner.modes[0].guarantee(port)
         return guarantee if isinstance(guarantee, Predicate) else None
+
+
+def _if_it_takes_longer(waited: float) -> str:
+    return f"if it takes longer to start, state `takes {2 * waited:.0f} s` after its `run` command"
 
 
 def _own_name(topic: str, node: str) -> str:

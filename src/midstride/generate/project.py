@@ -40,7 +40,7 @@ class Project:
     skipped: dict[str, str] = field(default_factory=dict)
 
 
-# Of the services by which a container loads a node.
+# The package of the services by which a container loads a node.
 _LOADING: Final = "composition_interfaces"
 _COMMENT: Final = {".xml": ("<!-- ", " -->"), ".launch": ("<!-- ", " -->")}
 
@@ -73,8 +73,8 @@ def project(
     composable = sorted(each.name for each in specification.components.values() if each.container is not None)
     if ros == 1 and composable:
         raise SpecificationError(
-            f"{', '.join(composable)}: ROS 1 has no composable nodes (`run component`); omit `--ros 1`, or state "
-            "programs of their own"
+            f"{', '.join(composable)}: ROS 1 has no composable nodes (`run component`); omit `--ros 1`, or state a "
+            "program for each (`run`)"
         )
     builder = _ProjectBuilder(specification, file, sources)
     builder.packages |= {each.package for each in specification.containers.values()}

@@ -68,7 +68,7 @@ def _lines(component: InstanceStatus, said: ParametersReport | None, specificati
     for name, words in sorted(_only_stated(component, parameters, specification).items()):
         yield f"{component.name}: {name} = {words}"
     if said is not None and said.unread:
-        yield f"{component.name}: {said.unread}"
+        yield said.unread
 
 
 def _only_stated(

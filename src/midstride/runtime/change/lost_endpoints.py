@@ -189,8 +189,8 @@ def what_ended(
 def _hands_over(state: ComponentState, old: ComponentSpec, new: ComponentSpec | None) -> bool:
     """Return whether the library hands over the requests of a node in ``state`` to its successor.
 
-    That has it, too, or the API. Where it is loaded for the services alone, a node runs also if its program is one that
-    it has no effect on.
+    The successor has the library too, or the API. Where the library is loaded for the services alone, a node runs also
+    if its program is one that it has no effect on.
     """
     shares = new is not None and (new.loads_library or new.gate is None)
     return shares and old.loads_library and (old.preloads or state.keeps_name)

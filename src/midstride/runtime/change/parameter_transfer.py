@@ -195,6 +195,10 @@ class ParameterTransfer:
             if origin == "set":
                 raise StepFailed(f"{name} = {value!r}, set at run time: {error}") from error
             self._record(runtime_value(instance.role, name, value, "refused", f"not kept: {error}", origin))
+            return
+        decided = self._found.get((instance.role, name))
+        if decided is not None and decided.fate == "kept":  # a plan does not know yet what a program declares
+            self._record(runtime_value(instance.role, name, value, "kept", "kept", decided.origin))
 
     # -- what is set later -------------------------------------------------------------------------
 

@@ -50,8 +50,9 @@ class HalfDone:
         """End ``instance``, which was last in ``state``.
 
         ``goes_on``: the one of its role that goes on, and its state; it gets the values that were set last.
-        ``because``: what the ended one is. ``accepted``: by an earlier manager; beside another one of its role, it has
-        had no requests and no values of its own until then. If it cannot be ended, that is said; `down` tries again.
+        ``because``: what the ended one is. ``accepted``: an earlier manager had accepted it; until then, one beside
+        another one of its role gets no requests, and no values are set on it. If it cannot be ended, that is said;
+        `down` tries again.
         """
         name, clock, before = instance.name, self.client.clock, self.events.last
         other, stays = goes_on or (None, None)

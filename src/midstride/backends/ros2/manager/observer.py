@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import replace
@@ -40,6 +41,9 @@ _CHANGE_STATE: Final = "change_state"
 _CHANGES_STATE: Final = "lifecycle_msgs/srv/ChangeState"
 _LOAD_NODE: Final = "_container/load_node"
 _NODE: Final = "_midstride_capture"
+# The node of `ros2 launch` itself, with the number of its process: it takes lifecycle nodes through the transitions
+# that a launch file states, and does not manage them afterwards.
+_LAUNCH: Final = re.compile(r"launch_ros_\d+")
 # What each node of rclcpp and rclpy publishes.
 _EVERY_NODE: Final = "/parameter_events"
 
@@ -135,7 +139,7 @@ def _look_at_services(node: Any, graph: ObservedGraph) -> None:
             for service, types in called
             if service.endswith(f"/{_CHANGE_STATE}") and _CHANGES_STATE in types
         }
-        if managed - {name}:
+        if managed - {name} and not _LAUNCH.fullmatch(own):
             graph.managers.setdefault(name, set()).update(managed - {name})
 
 
