@@ -124,13 +124,13 @@ def test_what_does_not_end_when_it_is_cancelled_is_named() -> None:
     async def waits_again() -> None:
         try:
             await never()
-        finally:
+        except asyncio.CancelledError:  # and not where it is collected as garbage, later
             await never()
 
     async def begins_another() -> None:
         try:
             await never()
-        finally:
+        except asyncio.CancelledError:
             kept.append(asyncio.ensure_future(begins_another()))
 
     async def begins_one() -> None:

@@ -106,10 +106,10 @@ class Agent:
             except asyncio.CancelledError:
                 pass  # SIGTERM, SIGINT
             self._stopping.set()
-            self._report()  # a manager that has not asked for it should know
+            self._report_end()  # a manager that has not asked for it should know
             await handlers.end()
             if handlers.unfinished is not None or self.host.admission.goals.counts is not None:
-                self._report()  # for the report of the change
+                self._report_end()  # for the report of the change
         finally:
             for task in tasks:
                 task.cancel()
@@ -309,6 +309,13 @@ class Agent:
         state = self.state()
         self._server.report(frames.StateChanged(state=state))
         return state
+
+    def _report_end(self) -> None:
+        """Report the state of a component that ends, which it does in order also where that fails."""
+        try:
+            self._report()
+        except Exception as error:
+            self.host.logger.error(f"{self.host.instance} ends without a report of it: {type(error).__name__}: {error}")
 
     def _degraded(self, runner: FunctionalityRunner) -> None:
         """On either thread: a functionality has degraded by itself. The revision changes at once."""
