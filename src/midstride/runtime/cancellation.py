@@ -25,10 +25,18 @@ async def run_to_completion(work: Coroutine[Any, Any, T], on_cancel: Callable[[]
 
 
 async def all_of(works: Iterable[Coroutine[Any, Any, T]]) -> list[T]:
-    """The results of works that run at the same time. As soon as one raises, or on a cancellation, the others end."""
+    """The results of works that run at the same time. As soon as one raises, or on a cancellation, the others end.
+
+    A cancellation is never lost: ``asyncio.gather`` would raise what a work raises at the same moment instead.
+    """
     tasks = [asyncio.ensure_future(work) for work in works]
     try:
-        return await asyncio.gather(*tasks)
+        if tasks:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
+        for task in tasks:
+            if task.done():
+                task.result()
+        return [task.result() for task in tasks]
     finally:
         for task in tasks:
             task.cancel()
