@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from midstride.errors import BackendError
 from midstride.foreign.page_layout import KNOWN
 from midstride.foreign.sharing_components import place, share_requests
 from midstride.node.control import service_answering
@@ -343,6 +344,15 @@ def test_a_component_and_a_node_change_places(lab: Lab) -> None:
         page.free(index)
         assert ask("answers"), "its part was taken back"
     assert share_requests(page, "component") == index, "its part is free"
+
+
+def test_with_a_node_that_has_ended_nothing_is_shared(lab: Lab) -> None:
+    page = lab.page
+    index = page.allocate("server")
+    page.have_requests(index)
+    page.free(index)
+    with pytest.raises(BackendError, match="it has ended"):
+        share_requests(page, "component", index)
 
 
 def test_what_is_noted_is_known_by_whose_it_is(lab: Lab) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from midstride.errors import BackendError
 from midstride.foreign.page import Page
 from midstride.foreign.page_layout import HAS_AGENT, NAME
 from midstride.wire.replies import SharedRequestsPlace
@@ -16,9 +17,12 @@ def share_requests(page: Page, instance: str, of: int | None = None) -> int:
     """Return the index of the part of the component ``instance``, which is set aside where it has none.
 
     It shares the requests with the node ``of`` (index), which answers them; without that, with one to come, and the
-    component answers. Raises BackendError.
+    component answers. Raises BackendError, also where the node ``of`` has ended: its part of the page has been taken
+    back, and what it had claimed is not known any more.
     """
     nodes = page.layout.nodes
+    if of is not None and not nodes[of].requests:
+        raise BackendError("it has ended, so nothing tells which requests it had taken")
     for index in _parts(page, instance):
         if not page.is_dead(index) and (of is None or nodes[index].requests == nodes[of].requests):
             return index
