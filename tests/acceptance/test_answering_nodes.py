@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import subprocess
 from collections import Counter
 from collections.abc import Iterator
@@ -96,6 +97,15 @@ def answered_once(robot: Robot) -> None:
     assert not wrong, f"number: how many answers: {wrong}; {robot.changes()}"
 
 
+async def said_of_answers(robot: Robot, component: str) -> list[str]:
+    """What a plan says of them, once the node has reported some."""
+    while True:
+        plan = await robot.manager.plan(PlanRequest(replace=(("answerer", component),)))
+        if found := [each for each in plan.remarks or () if "answered" in each]:
+            return found
+        await asyncio.sleep(0.1)
+
+
 def by_input(robot: Robot) -> list[str]:
     """What the events say of the hand-overs between two inputs."""
     found = [event.words for event in robot.manager.events.since(0) if event.kind == "note"]
@@ -135,8 +145,7 @@ def test_a_timer_that_publishes_the_last_input_does_not_answer_it(tmp_path: Path
             async with robot(load(path).require(), tmp_path, topic="/answers", in_c=True) as system:
                 remarks = []
                 for component in ("Timed", "Plain"):
-                    plan = await system.manager.plan(PlanRequest(replace=(("answerer", component),)))
-                    remarks.append([each for each in plan.remarks or () if "answered" in each])
+                    remarks.append(await said_of_answers(system, component))
                     await system.replaced(component, role="answerer")
                 assert remarks == [
                     [

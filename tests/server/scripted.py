@@ -39,6 +39,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
         middleware=lambda: Middleware(name="none"),
         spares=lambda: 0,
         unwritten=lambda: None,
+        hanging=list,
     )
     records = SimpleNamespace(unwritten=None, damaged=None)
     session = SimpleNamespace(
