@@ -144,7 +144,9 @@ def test_declared_services_are_replaced_and_missed(tmp_path: Path, monkeypatch: 
             monkeypatch.setattr("midstride.foreign.graph_check.ENDPOINTS_TIMEOUT", 0.5)
             refused = await system.meanwhile(manager.change(PlanRequest(replace=(("maps", "Astray"),))))
             assert refused.outcome == "rolled_back"
-            assert "does not serve service /map, for server map of Astray" in (refused.because or "")
+            # A busy machine may not even show its node by then.
+            why = "does not serve service /map, for server map of Astray|the graph shows no node /maps of its process"
+            assert re.search(why, refused.because or ""), refused.because
             assert mode(mapping) == "normal"
 
             # What relies on a server that hangs degrades, and nothing else; it is back when that answers again.
