@@ -8,7 +8,7 @@
 - `ros1`: with ROS 1, those marked ros1.
 
 Of the tests of every day, all suites run at once. Else those that watch live ROS 2 systems in real time (`waiting`, and
-beside it `kilted`, `gates` and `pages`, one after another) run after the others, with five tests at once on two
+beside it `kilted`, `gates` and `pages`, one after another) run after the others, with four tests at once on two
 processors, which they use for less than half of the time: a process that gets no processor for longer than a period
 misses it. Those marked long, many of which measure, run one suite after another; with `kilted` then also all others
 that are marked ros2.
@@ -179,9 +179,7 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={each}" for each in (*computing_files(), *pages)]
-        # Those of every day run beside `computing`; many of the long ones measure.
-        workers = more if daily or markers == "long" else processors * 2
-        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], workers, watches=True))
+        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], more, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]
         workers = processors if markers == "long" else more
