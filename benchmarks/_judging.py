@@ -1,7 +1,7 @@
 """The figures of a swap, from the rows of a recorder outside, by the same rule for every way of swapping.
 
 Two talkers of one rate have slots of different phases, so slots say nothing where one follows the other: what is
-counted there is the silence. Each talker by itself keeps its rate, and is judged by how many messages it has written.
+counted there is the silence. Each talker keeps its own rate, and is judged by how many messages it has written.
 """
 
 from __future__ import annotations

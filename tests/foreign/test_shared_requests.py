@@ -24,7 +24,7 @@ from midstride.node.control.service_answering import SHARE_INTERVAL, Answering
 from midstride.node.request_admission import HOLD, LEFT_OVER, PassableRequest, RequestAdmission
 from midstride.node.shared_requests import RequestsSlot
 from midstride.wire.commands import JoinRequestsCommand
-from midstride.wire.replies import SharedRequestsPlace
+from midstride.wire.replies import PagePlace
 from tests.foreign.lab import Lab, until, variables
 
 REQUESTS = 20_000
@@ -213,7 +213,7 @@ def test_it_leaves_the_page_only_in_a_moment_in_which_it_is_alone(monkeypatch: p
     events, tasks, none = list[str](), list[asyncio.Task[None]](), cast(Any, None)
 
     class Slot(Page):
-        def __init__(self, where: SharedRequestsPlace) -> None:
+        def __init__(self, where: PagePlace) -> None:
             super().__init__("own")
             self.place = where
 
@@ -235,7 +235,7 @@ def test_it_leaves_the_page_only_in_a_moment_in_which_it_is_alone(monkeypatch: p
 
     async def main() -> None:
         answering = Answering(Component(is_open=True).admission, none, lambda: None, start, sleep, str)
-        await answering.join(JoinRequestsCommand(place=SharedRequestsPlace(page="page", library="library", index=0)))
+        await answering.join(JoinRequestsCommand(place=PagePlace(page="page", library="library", index=0)))
         await asyncio.gather(*tasks)
 
     monkeypatch.setattr(service_answering, "RequestsSlot", Slot)
@@ -288,7 +288,7 @@ def test_of_two_nodes_with_the_library_one_claims_while_a_component_shares_the_r
     own.leave()
 
 
-def asked(connection: Connection, where: SharedRequestsPlace) -> None:
+def asked(connection: Connection, where: PagePlace) -> None:
     """The component in another process: a process does not see its own locks. It does what it is asked."""
     own = RequestsSlot(where)
     own.serve({"/count"})
@@ -299,7 +299,7 @@ def asked(connection: Connection, where: SharedRequestsPlace) -> None:
 
 
 @contextmanager
-def elsewhere(where: SharedRequestsPlace) -> Iterator[Callable[..., Any]]:
+def elsewhere(where: PagePlace) -> Iterator[Callable[..., Any]]:
     here, there = get_context("spawn").Pipe()
     process = get_context("spawn").Process(target=asked, args=(there, where))
     process.start()

@@ -25,7 +25,7 @@ from midstride.foreign.page_layout import (
 from midstride.foreign.sharing_components import has_joined, place, share_requests
 from midstride.model.component import ComponentSpec
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord
-from midstride.wire.replies import SharedRequestsPlace
+from midstride.wire.replies import PagePlace
 
 # How many messages in a row must each have answered an input, for a node to count as one that answers messages.
 SEEN: Final = 2
@@ -252,7 +252,7 @@ class Gates:
             if index is not None:
                 self.page.ring(index)
 
-    def share_requests(self, instance: str) -> SharedRequestsPlace | None:
+    def share_requests(self, instance: str) -> PagePlace | None:
         """Where the component ``instance``, with Midstride's API, joins to share the requests to this node.
 
         None where this node has no library that claims any. Raises BackendError.
@@ -261,7 +261,7 @@ class Gates:
             return None
         return place(self.page, share_requests(self.page, instance, self.index))
 
-    def to_be_joined(self, other: int) -> SharedRequestsPlace | None:
+    def to_be_joined(self, other: int) -> PagePlace | None:
         """Where the node ``other`` (index), a component, is to join first; None where it has, or is none."""
         return None if has_joined(self.page, other) else place(self.page, other)
 

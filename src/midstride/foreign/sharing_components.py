@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from midstride.errors import BackendError
 from midstride.foreign.page import Page
 from midstride.foreign.page_layout import HAS_AGENT, NAME
-from midstride.wire.replies import SharedRequestsPlace
+from midstride.wire.replies import PagePlace
 
 
 def share_requests(page: Page, instance: str, of: int | None = None) -> int:
@@ -32,9 +32,9 @@ def share_requests(page: Page, instance: str, of: int | None = None) -> int:
     return index
 
 
-def place(page: Page, index: int) -> SharedRequestsPlace:
+def place(page: Page, index: int) -> PagePlace:
     """Return where the component joins whose part is ``index``."""
-    return SharedRequestsPlace(page=str(page.path.absolute()), library=str(page.library_path), index=index)
+    return PagePlace(page=str(page.path.absolute()), library=str(page.library_path), index=index)
 
 
 def has_joined(page: Page, index: int) -> bool:

@@ -176,6 +176,7 @@ class RequestAdmission:
     def share(self, shared: SharedRequests) -> None:
         """Claim each request to a service from now on, and answer when ``shared`` says so. Call :meth:`look` often."""
         with self._lock:
+            self.shared = shared
             for request in filter(_is_to_a_service, self._unfinished):  # which the other one waits for
                 if shared.claim(request):
                     self._claimed.add(request)
@@ -183,9 +184,8 @@ class RequestAdmission:
                 if _is_to_a_service(request) and request not in self._claimed:
                     shared.note_claimed(request)
             for request, held in self._held.items():
-                if held.about is None and held.asks_for is None:
+                if self._is_shared(held):
                     shared.note_held(request)
-            self.shared = shared
 
     def _is_shared(self, held: _Held) -> bool:
         """Return whether it is claimed before it is handled, by :meth:`look`."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import ctypes
 import time
-from ctypes import c_char_p, c_int64, c_uint32, c_void_p
+from ctypes import c_char_p, c_int64, c_void_p
 from typing import Final, Protocol
 
-from midstride.errors import CommandRefused
-from midstride.wire.replies import SharedRequestsPlace
+from midstride.node.page_slot import PageSlot
+from midstride.wire.replies import PagePlace
 
 # How many of the requests that it has handled before are claimed when it joins: fewer than the page has places for.
 BEFORE: Final = 3000
@@ -49,32 +49,24 @@ class SharedRequests(Protocol):
     def answered(self) -> None: ...
 
 
-class RequestsSlot:
-    """Implements SharedRequests in the page of the gates, by the functions of the library.
+class RequestsSlot(PageSlot):
+    """Implements SharedRequests by the functions of the library.
 
-    Raises CommandRefused where the page cannot be used. May be used on any thread.
+    May be used on any thread; left only when no other one uses it.
     """
 
-    def __init__(self, place: SharedRequestsPlace) -> None:
+    def __init__(self, place: PagePlace) -> None:
+        super().__init__(place)
         self.place = place
-        try:
-            self._library = library = ctypes.PyDLL(
-                place.library
-            )  # its calls are short, and keep the interpreter's lock
-            library.midstride_join.argtypes, library.midstride_join.restype = [c_char_p, c_uint32], c_void_p
-            library.midstride_serve.argtypes = [c_void_p, c_char_p]
-            library.midstride_leave_slot.argtypes, library.midstride_leave_slot.restype = [c_void_p], None
-            for name in ("answers", "answered_before", "answered", "left_before", "is_alone"):
-                getattr(library, f"midstride_{name}").argtypes = [c_void_p]
-            for name in ("claim_request", "note_claimed", "note_arrived", "known"):
-                getattr(library, f"midstride_{name}").argtypes = [c_void_p, c_int64, c_int64]
-            library.midstride_answer.argtypes = [c_void_p, c_int64]
-        except (OSError, AttributeError) as error:
-            raise CommandRefused(f"the library of the gate cannot be used: {error}") from None
-        self._slot: int | None = library.midstride_join(place.page.encode(), place.index)
-        if self._slot is None:
-            raise CommandRefused(f"the page of the gates, {place.page}, cannot be used, or has another layout")
         self._served: set[str] = set()
+
+    def _declare(self, library: ctypes.PyDLL) -> None:
+        library.midstride_serve.argtypes = [c_void_p, c_char_p]
+        for name in ("answers", "answered_before", "answered", "left_before", "is_alone"):
+            getattr(library, f"midstride_{name}").argtypes = [c_void_p]
+        for name in ("claim_request", "note_claimed", "note_arrived", "known"):
+            getattr(library, f"midstride_{name}").argtypes = [c_void_p, c_int64, c_int64]
+        library.midstride_answer.argtypes = [c_void_p, c_int64]
 
     def serve(self, services: set[str]) -> None:
         """Say that the component has these services (full names); the other one answers at once what only it has."""
@@ -123,12 +115,6 @@ class RequestsSlot:
     def is_alone(self) -> bool:
         """Return whether the other one has ended."""
         return bool(self._call("is_alone", left=1))
-
-    def leave(self) -> None:
-        """Share them no longer."""
-        slot, self._slot = self._slot, None
-        if slot is not None:
-            self._library.midstride_leave_slot(slot)
 
 
 def _of(request: str) -> tuple[int, int]:

@@ -32,13 +32,13 @@ from midstride.wire.replies import (
     Grid,
     Idle,
     MissingRequests,
+    PagePlace,
     PreviousModes,
     PreviousParameters,
     RateVerdict,
     RecordingSwitched,
     Records,
     ServedRequest,
-    SharedRequestsPlace,
     SharedSlotPlace,
     StateOffer,
     Yielded,
@@ -438,7 +438,7 @@ class AnswerCommand(Command[Answers], frozen=True, kw_only=True, tag="answer"):
 class JoinRequestsCommand(Command[Done], frozen=True, kw_only=True, tag="join_requests"):
     """Share the requests to the services with a successor that has no API, at ``place``: it is to answer."""
 
-    place: SharedRequestsPlace
+    place: PagePlace
 
 
 class ReleaseCommand(Command[Done], frozen=True, kw_only=True, tag="release"):

@@ -25,8 +25,8 @@ class Done(WireValue, frozen=True, kw_only=True):
     """Carried out; there is nothing to report."""
 
 
-class SharedRequestsPlace(WireValue, frozen=True, kw_only=True):
-    """The part that a component gets in the page of the gates, to share the requests to its services with a node there.
+class PagePlace(WireValue, frozen=True, kw_only=True):
+    """The part that a component gets in the page of the gates, which it shares with a node there.
 
     ``page`` and ``library`` are files; ``index`` is that of its part.
     """
@@ -43,7 +43,7 @@ class Answers(WireValue, frozen=True, kw_only=True):
     """
 
     outlasting: int = 0
-    first: SharedRequestsPlace | None = None
+    first: PagePlace | None = None
 
 
 class Grid(WireValue, frozen=True, kw_only=True):
@@ -243,7 +243,7 @@ class Yielded(WireValue, frozen=True, kw_only=True):
 
     handled: list[str]
     goals: list[str] = []
-    place: SharedRequestsPlace | None = None
+    place: PagePlace | None = None
 
 
 class MissingRequests(WireValue, frozen=True, kw_only=True):
@@ -279,17 +279,13 @@ class FencedOutputs(WireValue, frozen=True, kw_only=True):
     last: dict[str, int]
 
 
-class SharedSlotPlace(WireValue, frozen=True, kw_only=True):
-    """The part that a component gets in the page of the gates, for the length of a hand-over.
+class SharedSlotPlace(PagePlace, frozen=True, kw_only=True):
+    """The part that a component gets in the page of the gates for the length of a hand-over.
 
-    ``page`` and ``library`` are files; ``index`` is that of its part, ``other`` that of the other side, which has a
-    gate. ``timed``: no output of the component has a rate.
+    ``other`` is the index of the other side, which has a gate. ``timed``: no output of the component has a rate.
     """
 
-    page: str
-    library: str
     baton: int
-    index: int
     other: int
     timed: bool
 

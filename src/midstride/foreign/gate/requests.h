@@ -75,23 +75,4 @@ static inline int requests_claim(uint64_t word, uint32_t number, uint64_t *next)
   return 1;
 }
 
-/* -- the word of a request: for a component with Midstride's API, to which rclpy does not say whose a request is --------
- *
- *   bit  0        CLAIMED: a node has claimed it
- *   bit  1        ARRIVED: it has arrived at a component, which holds it
- *   bits 2 to 63  from when its client has sent it, and its number: the same at every server, and unique
- */
-#define CLAIMED UINT64_C(1)
-#define ARRIVED UINT64_C(2)
-
-/* Neither flag is set, and it is not 0. */
-static inline uint64_t identity_of(int64_t sent, int64_t number)
-{
-  uint64_t mixed = (uint64_t)sent * UINT64_C(0x9e3779b97f4a7c15) + (uint64_t)number;
-  mixed = (mixed ^ mixed >> 30) * UINT64_C(0xbf58476d1ce4e5b9);
-  mixed = (mixed ^ mixed >> 27) * UINT64_C(0x94d049bb133111eb);
-  mixed = (mixed ^ mixed >> 31) & ~(CLAIMED | ARRIVED);
-  return mixed ? mixed : 4;
-}
-
 #endif

@@ -78,7 +78,7 @@ class Answering:
         self._join(command.place)
         return replies.Done()
 
-    def _join(self, place: replies.SharedRequestsPlace) -> RequestsSlot:
+    def _join(self, place: replies.PagePlace) -> RequestsSlot:
         if self._page is not None and self._page.place == place:
             return self._page
         self._leave()

@@ -7,11 +7,11 @@ For the length of a hand-over the component has a *slot*: the part of one more n
 from __future__ import annotations
 
 import ctypes
-from ctypes import POINTER, c_char_p, c_int, c_uint32, c_uint64, c_void_p
+from ctypes import POINTER, c_int, c_uint32, c_uint64, c_void_p
 from dataclasses import dataclass
 from enum import IntEnum
 
-from midstride.errors import CommandRefused
+from midstride.node.page_slot import PageSlot
 from midstride.wire.replies import SharedSlotPlace
 
 
@@ -56,7 +56,7 @@ class BatonWord:
         )
 
 
-class SharedSlot:
+class SharedSlot(PageSlot):
     """The slot of one hand-over, which decides it (:class:`midstride.node.handover.arbiter.Arbiter`).
 
     Made by joining. Raises CommandRefused where the page of the gates cannot be used. ``me`` and ``other`` are as in
@@ -64,22 +64,15 @@ class SharedSlot:
     """
 
     def __init__(self, place: SharedSlotPlace) -> None:
-        try:
-            # Its calls are short, and keep the interpreter's lock.
-            self._library = library = ctypes.PyDLL(place.library)
-            library.midstride_join.argtypes, library.midstride_join.restype = [c_char_p, c_uint32], c_void_p
-            library.midstride_leave_slot.argtypes, library.midstride_leave_slot.restype = [c_void_p], None
-            library.midstride_begin.argtypes = [c_void_p, c_uint32]
-            library.midstride_end.argtypes, library.midstride_end.restype = [c_void_p], None
-            library.midstride_baton.argtypes, library.midstride_baton.restype = [c_void_p, c_uint32], POINTER(c_uint64)
-            library.midstride_take_step.argtypes = [POINTER(c_uint64), c_int, c_uint32, c_uint32, c_int]
-        except (OSError, AttributeError) as error:
-            raise CommandRefused(f"the library of the gate cannot be used: {error}") from None
-        self._slot: int | None = library.midstride_join(place.page.encode(), place.index)
-        if self._slot is None:
-            raise CommandRefused(f"the page of the gates, {place.page}, cannot be used, or has another layout")
-        self._word = library.midstride_baton(self._slot, place.baton)
+        super().__init__(place)
+        self._word = self._library.midstride_baton(self._slot, place.baton)
         self.me, self.other, self.timed = place.index + 1, place.other + 1, place.timed
+
+    def _declare(self, library: ctypes.PyDLL) -> None:
+        library.midstride_begin.argtypes = [c_void_p, c_uint32]
+        library.midstride_end.argtypes, library.midstride_end.restype = [c_void_p], None
+        library.midstride_baton.argtypes, library.midstride_baton.restype = [c_void_p, c_uint32], POINTER(c_uint64)
+        library.midstride_take_step.argtypes = [POINTER(c_uint64), c_int, c_uint32, c_uint32, c_int]
 
     def begin(self, output: int) -> bool:
         return self._slot is not None and bool(self._library.midstride_begin(self._slot, output))
@@ -144,5 +137,4 @@ class SharedSlot:
         word = self.word()
         if word.predecessor == self.me:  # for good: the new side keeps the baton even if it dies
             self.step(BatonStep.SETTLE, word.holder)
-        self._library.midstride_leave_slot(self._slot)
-        self._slot = None
+        super().leave()

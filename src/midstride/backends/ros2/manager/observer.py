@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from midstride.ament_index import installed_program
 from midstride.backends.common_messages import message_class
-from midstride.backends.ros2 import middleware
+from midstride.backends.ros2 import middleware, names
 from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, seconds_of
 from midstride.backends.ros2.manager.named_servers import named_servers
 from midstride.backends.ros2.manager.node_owner import pids_of
@@ -44,8 +44,6 @@ _NODE: Final = "_midstride_capture"
 # The node of `ros2 launch` itself, with the number of its process: it takes lifecycle nodes through the transitions
 # that a launch file states, and does not manage them afterwards.
 _LAUNCH: Final = re.compile(r"launch_ros_\d+")
-# What each node of rclcpp and rclpy publishes.
-_EVERY_NODE: Final = "/parameter_events"
 
 
 def observe(
@@ -154,7 +152,7 @@ def _look_at_processes(graph: ObservedGraph, infos: Iterable[Any]) -> None:
 def _note_programs(node: Any, graph: ObservedGraph) -> None:
     """Note which program each container of this computer is, as far as the middleware names its process."""
     rmw, shown = middleware.of_this_process(), dict[str, NodeProcess]()
-    for info in node.get_publishers_info_by_topic(_EVERY_NODE):
+    for info in node.get_publishers_info_by_topic(names.PARAMETER_EVENTS):
         if (process := rmw.node_process(info)) is not None:
             shown[full_name(info.node_name, info.node_namespace)] = process
     own = shown.get(full_name(_NODE))
