@@ -120,7 +120,7 @@ def kept_across(folder: Path, number: int) -> None:
             for count in range(number + 1):
                 if count:
                     await system.replaced("Plain" if count % 2 == 0 else "Other", role="mapper")
-                await system.until(lambda: system.bare.node.get_node_names().count("mapper") == 1)
+                await system.bare.until_named("mapper")
                 found = await values(system)
                 assert found == ({"resolution": 0.1} if not count else {"resolution": float(count)}), count
                 value = float(count + 1)
@@ -166,7 +166,7 @@ def test_a_client_that_never_pauses_sets_one_value_after_the_other_across_many_r
             try:
                 for count in range(1, REPLACEMENTS + 1):
                     await system.replaced("Plain" if count % 2 == 0 else "Other", role="mapper")
-                    await system.until(lambda: system.bare.node.get_node_names().count("mapper") == 1)
+                    await system.bare.until_named("mapper")
                     assert setter.poll() is None, "a value was not answered, or refused"
             finally:
                 setter.send_signal(signal.SIGTERM)
@@ -210,7 +210,7 @@ def test_the_next_manager_finds_which_of_two_nodes_of_a_name_is_which(tmp_path: 
                 assert values["resolution"] == float(value), f"killed {point}: {report}"
                 await manager.set_parameters("source", {"resolution": value + 0.5})
                 assert last_set() == [str(value + 0.5), report.instance], f"killed {point}"
-                await bare.until(lambda: bare.node.get_node_names().count("source") == 1, 60)
+                await bare.until_named("source")
                 assert (await manager.status()).valid
         await manager.down()
         await manager.close()
@@ -245,7 +245,7 @@ def test_a_lifecycle_node_keeps_its_name_and_hands_its_requests_over(gate: Gate,
             async with called(tmp_path, system, service="/talker/count") as calls:
                 for component in ("Other", "Plain"):
                     await system.replaced(component)
-                    await system.until(lambda: node.get_node_names().count("talker") == 1)
+                    await system.bare.until_named("talker")
                     asked = state.call_async(GetState.Request())
                     await system.until(asked.done)
                     assert asked.result().current_state.label == "active"

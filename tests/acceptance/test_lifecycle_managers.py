@@ -127,7 +127,7 @@ def test_a_manager_without_bonds_does_not_notice_and_a_broken_bond_would_have_ta
             assert (change.result().outcome, change.result().because) == ("done", None)
             assert asked > 1
             await active(bare, "controller_server", "planner_server")
-            await bare.until(lambda: bare.node.get_node_names().count("planner_server") == 1, 30)
+            await bare.until_named("planner_server")
             assert "Failed to change state" not in log_of(tmp_path)
 
     with ended():

@@ -251,6 +251,24 @@ class Bare:
             assert time.monotonic() < deadline, "it did not come true in time"
             await self.spin()
 
+    async def until_named(self, name: str, times: int = 1, seconds: float = 60.0) -> None:
+        """Wait until the graph shows so many nodes of a name.
+
+        Where it does not, a node that starts now is asked, as ``ros2 node list`` would be: a middleware that has lost
+        what it was told of a node shows it to nobody who listened then, and to everybody who comes later.
+        """
+        with contextlib.suppress(AssertionError):
+            await self.until(lambda: self.node.get_node_names().count(name) == times, seconds)
+            return
+        later = Bare("asks_again")
+        try:
+            await later.until(lambda: later.node.get_node_names().count(name) == times, 30.0)
+        except AssertionError:
+            seen, new = (sorted(each.node.get_node_names()) for each in (self, later))
+            raise AssertionError(f"{name} is not there {times} times: {seen}; to a new node: {new}") from None
+        finally:
+            later.close()
+
     async def spin(self) -> None:
         self.executor.spin_once(timeout_sec=0.002)
         await asyncio.sleep(0)

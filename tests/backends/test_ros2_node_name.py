@@ -55,7 +55,7 @@ def test_the_clients_of_a_node_reach_its_replacement(tmp_path: Path) -> None:
                 assert await tools.set(gain=2.0) == [(True, "")]
                 assert await instance() == "counter"
                 await r.start("counter_2", COUNTING, node="counter", standby=True)
-                await bare.until(lambda: bare.node.get_node_names().count("counter") == 2)
+                await bare.until_named("counter", 2)
                 assert "counter_2" not in bare.node.get_node_names()
                 assert await tools.set(gain=3.0) == [(True, "")]
                 parameters = {name: (await r.client.observe(name)).parameters for name in ("counter", "counter_2")}
