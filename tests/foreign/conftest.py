@@ -17,10 +17,19 @@ HERE = Path(__file__).parent
 @pytest.fixture(scope="session")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the nodes, the server, and the library that they are linked with."""
-    folder = tmp_path_factory.mktemp("fake")
+    return compiled(tmp_path_factory.mktemp("fake"))
+
+
+@pytest.fixture(scope="session")
+def packaged_programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with the library linked as librcl is in packages for Ubuntu: calls within it stay there."""
+    return compiled(tmp_path_factory.mktemp("packaged"), "-Wl,-Bsymbolic-functions")
+
+
+def compiled(folder: Path, *linked: str) -> Path:
     command = build.compiler()
     assert command is not None
-    fake_programs(folder, command)
+    fake_programs(folder, command, linked)
     return folder
 
 
@@ -31,9 +40,10 @@ def lab(tmp_path: Path, programs: Path, gate_library: Path) -> Iterator[Lab]:
     made.close()
 
 
-def fake_programs(folder: Path, compiler: Sequence[str]) -> None:
+def fake_programs(folder: Path, compiler: Sequence[str], linked: Sequence[str] = ()) -> None:
+    """Compile them into ``folder``, the library with options ``linked`` for the linker."""
     options = [*compiler, "-std=c11", "-O2", "-pthread"]
-    subprocess.run([*options, "-shared", "-fPIC", "-o", folder / "librcl.so", HERE / "fake_rcl.c"], check=True)
+    subprocess.run([*options, "-shared", "-fPIC", *linked, "-o", folder / "librcl.so", HERE / "fake_rcl.c"], check=True)
     link = ["-L", str(folder), "-lrcl", f"-Wl,-rpath,{folder}"]
     for program in ("node", "server", "leaving"):
         subprocess.run([*options, "-o", folder / program, HERE / f"fake_{program}.c", *link], check=True)

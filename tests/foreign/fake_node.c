@@ -8,13 +8,14 @@
  * FAKE_TOPICS is for how many further topics it creates publishers, TOPIC_0 and so on. With FAKE_SECOND, the full name of
  * another node in the process, that publishes on the topic as well, as WRITER + 1000. FAKE_NODES has the names of nodes that
  * it creates first, with the name `/given` for all by the rules of the command line: one with `=` has that other name by a
- * rule of its own, and one with `-` is ended at once. With FAKE_WITHIN, it uses intra-process communication as rclcpp does, and
+ * rule of its own, one with `-` is ended at once, and one with `!` does without the rules of the command line. With FAKE_WITHIN, it uses intra-process communication as rclcpp does, and
  * only a subscription of the process gets its messages; where that is `both`, one elsewhere does as well, and where it is
  * `untold`, tracetools is not called, as by rclcpp of Humble.
  * With FAKE_LOADS, it does nothing but what it reads, a line each, and says when that is done: `+NAME` creates a node of that
  * full name with a publisher on the topic, `.NAME` removes the publisher of the last such node, `-NAME` ends the node. */
 #define _GNU_SOURCE
 #include <pthread.h>
+#include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -26,9 +27,9 @@ struct allocator {
   void *functions[5];
 };
 
+int rcl_init(int, const char *const *, const void *, void *);
 int rcl_node_init(void *, const char *, const char *, void *, const void *);
 int rcl_node_fini(void *);
-int rcl_remap_node_name(const void *, const void *, const char *, struct allocator, char **);
 int rcl_publisher_init(void *, const void *, const void *, const char *, const void *);
 int rcl_publisher_fini(void *, void *);
 int rcl_publish(const void *, const void *, void *);
@@ -56,18 +57,32 @@ static long long now(void)
   return at.tv_sec * 1000000000ll + at.tv_nsec;
 }
 
+/* The begin of rcl_node_options_t. */
+struct node_options {
+  struct allocator memory;
+  bool use_global_arguments;
+  char *local;
+};
+
 static void create_nodes(char *names)
 {
+  static const char *const arguments[] = {"node", "--ros-args", "-r", "topic:=/chat", "-r", "__node:=/given"};
+  void *context = NULL;
+  rcl_init(6, arguments, NULL, &context);
   for (char *name = strtok(names, ","); name; name = strtok(NULL, ",")) {
-    char *end = name + strlen(name) - 1, *local = strchr(name, '='), *remapped = NULL;
-    int ends = *end == '-';
-    if (ends)
+    struct node_options options = {.use_global_arguments = true};
+    char *end = name + strlen(name) - 1, *local = strchr(name, '=');
+    int ends = *end == '-', alone = *end == '!';
+    if (ends || alone)
       *end = 0;
-    if (local)
+    if (local) {
       *local++ = 0;
-    rcl_remap_node_name(local, "/given", name, (struct allocator){{NULL}}, &remapped);
+      options.local = malloc(strlen(local) + sizeof "__node:=");
+      strcat(strcpy(options.local, "__node:="), local);
+    }
+    options.use_global_arguments = !alone;
     void **node = malloc(sizeof *node);
-    rcl_node_init(node, remapped ? remapped : name, "", NULL, NULL);
+    rcl_node_init(node, name, "", &context, &options);
     if (ends)
       rcl_node_fini(node);
   }

@@ -87,28 +87,61 @@ const char *rcl_node_get_fully_qualified_name(const char *const *node)
   return node ? *node : NULL;
 }
 
-int rcl_node_init(const char **node, const char *name, const char *namespace, void *context, const void *options)
+struct allocator {
+  void *functions[5];
+};
+
+/* Rules are one rule that names nodes; NULL: there is none. A context begins with that of the command line. */
+int rcl_init(int count, const char *const *arguments, const void *options, char **context)
 {
-  (void)namespace, (void)context, (void)options;
-  *node = name;
+  (void)options;
+  for (int index = 1; index < count; index++)
+    if (strcmp(arguments[index - 1], "-r") == 0 && strstr(arguments[index], "__node:="))
+      *context = strdup(arguments[index]);
+  return 0;
+}
+
+/* The name that a rule gives a node. */
+static const char *named_by(const char *rule, const char *name)
+{
+  const char *given = rule ? strstr(rule, "__node:=") : NULL;
+  size_t prefix = given ? (size_t)(given - rule) : 0; /* with its colon */
+  bool meant = given && (!prefix || (strlen(name) == prefix - 1 && strncmp(rule, name, prefix - 1) == 0));
+  return meant ? given + strlen("__node:=") : NULL;
+}
+
+__attribute__((noinline))
+int rcl_remap_node_name(char *const *local, char *const *global, const char *name, struct allocator memory, char **remapped)
+{
+  (void)memory;
+  const char *given = local ? named_by(*local, name) : NULL;
+  given = given || !global ? given : named_by(*global, name);
+  *remapped = given ? strdup(given) : NULL;
+  return 0;
+}
+
+/* The begin of rcl_node_options_t. */
+struct node_options {
+  struct allocator memory;
+  bool use_global_arguments;
+  char *local;
+};
+
+/* As that of rcl: it applies the rules by a call that a library before this one sees, or not, as this one is linked. */
+int rcl_node_init(const char **node, const char *name, const char *namespace, char *const *context,
+                  const struct node_options *options)
+{
+  char *remapped = NULL;
+  (void)namespace;
+  if (options)
+    rcl_remap_node_name(&options->local, options->use_global_arguments ? context : NULL, name, options->memory, &remapped);
+  *node = strdup(remapped ? remapped : name);
   return 0;
 }
 
 int rcl_node_fini(const char **node)
 {
   *node = NULL;
-  return 0;
-}
-
-struct allocator {
-  void *functions[5];
-};
-
-/* Rules are the name that they give every node. */
-int rcl_remap_node_name(const char *local, const char *global, const char *name, struct allocator memory, char **remapped)
-{
-  (void)name, (void)memory;
-  *remapped = local || global ? strdup(local ? local : global) : NULL;
   return 0;
 }
 

@@ -204,14 +204,18 @@ def test_the_nodes_of_a_process_are_listed_while_they_are_there(lab: Lab, monkey
     assert lab.page.ros_nodes(index) == []
 
 
-def test_a_name_for_all_nodes_names_the_first_one_alone(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("linked", ["programs", "packaged_programs"])
+def test_a_name_for_all_nodes_names_the_first_one_alone(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, linked: str
+) -> None:
     """One that its program names by a rule of its own is not meant; the first one keeps its name when made anew."""
+    lab.programs = request.getfixturevalue(linked)
     index = lab.page.allocate("both")
     lab.page.set_ports(index, [("/chat", OUTPUT)])
     lab.page.layout.nodes[index].used |= NAMES_ONE
-    monkeypatch.setenv("FAKE_NODES", "/helper=/local,/first-,/second,/first,/third=/other")
+    monkeypatch.setenv("FAKE_NODES", "/helper=/local,/without!,/first-,/second,/first,/third=/other")
     lab.run(index, MS, 10**12)
-    assert lab.page.ros_nodes(index) == ["/given", "/local", "/other", "/second"]
+    assert lab.page.ros_nodes(index) == ["/given", "/local", "/other", "/second", "/without"]
 
 
 def test_where_the_page_has_no_room_for_a_node_they_are_not_known(lab: Lab) -> None:

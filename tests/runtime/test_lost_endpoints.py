@@ -12,6 +12,7 @@ from midstride.backends.simulator import Simulator
 from midstride.lang.load import load_text
 from midstride.model.action import Create, Remove
 from midstride.model.component import ComponentSpec, Gate, NodeEndpoint
+from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import Predicate
 from midstride.model.specification import initial
 from midstride.plan.change_builder import change_between
@@ -21,6 +22,7 @@ from midstride.plan.strategies.registry import STRATEGIES, planner
 from midstride.runtime.change.lost_endpoints import (
     _as_planned,
     lost_endpoints,
+    offered,
     two_writers,
     unseen_endpoints,
     what_ended,
@@ -250,6 +252,38 @@ def test_between_the_api_and_a_node_without_it_both_answer_where_that_has_no_lib
     assert "mapper and its replacement answered service /reset while both run" in found.words
     (found,) = what_ended("mapper", relayed, LastKnown(None, ()), planned=True, beside=relayed)
     assert "each of the two answers the other services that both have" in found.words
+
+
+def test_what_the_successor_was_seen_not_to_offer_is_said_without_an_if() -> None:
+    old, new = (ComponentSpec.of(name, run="mapper", gate="preload") for name in ("Old", "New"))
+    serves = [each for each in GOALS if each.serves]
+    known = LastKnown(LatestState(bare_state("mapper", node="/mapper", serves=serves, keeps_name=True), 0.0))
+
+    def said(offers: list[str] | None) -> list[str]:
+        found = what_ended("mapper", old, known, planned=False, beside=new, offers=offers)
+        return [each.words for each in found if each.words.startswith("requests of others")]
+
+    (words,) = said(None)
+    served = "service /reset and ROS action /dock were answered by the replacement of mapper"
+    assert words.endswith(f"{served} only if that offers them")
+    assert said(["service /reset"]) == [
+        "requests of others: as far as the graph shows, the replacement of mapper does not offer ROS action /dock, so "
+        "it is not answered since mapper has ended"
+    ]
+    assert said(["service /reset", "ROS action /dock"]) == []
+
+
+def test_of_components_without_the_api_it_is_known_what_they_offer_once_the_graph_was_asked() -> None:
+    plain, bare = (ComponentSpec.of(gate, run="mapper", gate=gate) for gate in ("preload", "none"))
+    instances = [Instance("seen", "seen", plain), Instance("unseen", "unseen", plain), Instance("bare", "bare", bare)]
+    runs = Configuration()
+    for each in instances:
+        runs = runs.with_instance(each)
+    states = {
+        each.name: LatestState(bare_state(each.name, serves=GOALS[3:4], looked=each.name != "unseen"), 0.0)
+        for each in instances
+    }
+    assert offered(states, runs) == {"seen": ["service /reset"]}
 
 
 def test_a_component_with_the_api_may_write_on_its_topics_beside_a_node_without_it() -> None:

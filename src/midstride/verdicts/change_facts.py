@@ -215,6 +215,16 @@ def answered_if_offered(instance: str, served: Sequence[str], *, planned: bool) 
     return Assessment(instance, "not_measurable", words)
 
 
+def not_offered(instance: str, lacking: Sequence[str]) -> Assessment:
+    """Assess services of a node that the graph has not shown of its successor by the end of the change."""
+    answered = "it is not answered" if len(lacking) == 1 else "they are not answered"
+    words = (
+        f"requests of others: as far as the graph shows, the replacement of {instance} does not offer "
+        f"{listed(lacking)}, so {answered} since {instance} has ended"
+    )
+    return Assessment(instance, "not_measurable", words)
+
+
 def answered_by_both(instance: str, served: Sequence[str], *, planned: bool) -> Assessment:
     """Of two nodes of a role that run at the same time, both answer, as nothing decides between them."""
     verb, may = ("", "may be") if planned else ("ed", "may have been")

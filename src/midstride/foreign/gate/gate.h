@@ -82,6 +82,12 @@ void end_loading(const char *service);
 /* The node that this thread is loading, as index + 1; 0: none. */
 unsigned being_loaded(void);
 
+/* -- the name from the command line (names.c) ------------------------------------------------------------------------- */
+
+/* The name for a node that a program calls `name`, with that context and these options of rcl, from malloc; NULL: the rules of
+ * librcl name it, or its program. */
+char *given_name(const char *name, const void *context, const void *options);
+
 /* -- the endpoints that have a port (endpoints.c) --------------------------------------------------------------------- */
 
 /* A message that was written behind the gate. */

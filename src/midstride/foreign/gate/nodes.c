@@ -1,6 +1,7 @@
-/* The ROS nodes of this process, and their names. */
+/* The ROS nodes of this process. */
 #include "gate.h"
 
+#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -117,7 +118,9 @@ static void list_node(const void *created)
 
 EXPORT int rcl_node_init(void *created, const char *name, const char *namespace, void *context, const void *options)
 {
-  int result = real_rcl_node_init()(created, name, namespace, context, options);
+  char *given = page && name && context && options ? given_name(name, context, options) : NULL;
+  int result = real_rcl_node_init()(created, given ? given : name, namespace, context, options);
+  free(given);
   if (page && result == 0)
     list_node(created);
   return result;
@@ -164,26 +167,4 @@ EXPORT int rcl_node_fini(void *ended)
     pthread_mutex_unlock(&lock);
   }
   return real_rcl_node_fini()(ended);
-}
-
-/* The rules of the command line name the node as which the process was started, which is the first one that has no name of
- * its own from its program's rules (`local`); further nodes keep theirs. */
-EXPORT int rcl_remap_node_name(const void *local, const void *global, const char *name, allocator memory, char **remapped)
-{
-  static char first_name[NAME];
-  if (!page || !global || !(node->used & NAMES_ONE) || strlen(name) >= NAME)
-    return real_rcl_remap_node_name()(local, global, name, memory, remapped);
-  /* rcl refuses to look where there are no rules at all, which is so of most programs in C: `impl` is NULL. */
-  *remapped = NULL;
-  if (local && *(void *const *)local) {
-    int result = real_rcl_remap_node_name()(local, NULL, name, memory, remapped);
-    if (result != 0 || *remapped)
-      return result;
-  }
-  pthread_mutex_lock(&lock);
-  if (!first_name[0])
-    strcpy(first_name, name);
-  bool own = strcmp(first_name, name) == 0;
-  pthread_mutex_unlock(&lock);
-  return own ? real_rcl_remap_node_name()(local, global, name, memory, remapped) : 0;
 }

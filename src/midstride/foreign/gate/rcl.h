@@ -125,6 +125,7 @@ extern const allocator heap;
 #define REAL_CALLED(result, name, symbol, ...) result (*real_##name(void))(__VA_ARGS__);
 #endif
 #define REAL(result, name, ...) REAL_CALLED(result, name, #name, __VA_ARGS__)
+REAL(int, rcl_init, int, const char *const *, const void *, void *)
 REAL(int, rcl_node_init, void *, const char *, const char *, void *, const void *)
 REAL(int, rcl_node_fini, void *)
 REAL(int, rcl_remap_node_name, const void *, const void *, const char *, allocator, char **)
@@ -151,6 +152,8 @@ REAL(int, rcl_take_loaned_message, const void *, void **, struct message_info *,
 REAL(int, rcl_return_loaned_message_from_subscription, const void *, void *)
 REAL(int, rcl_service_init, void *, const void *, const void *, const char *, const void *)
 REAL(int, rcl_service_fini, void *, void *)
+REAL(int, rcl_node_type_description_service_init, void *, const void *)
+REAL(int, rcl_node_type_description_service_fini, void *)
 REAL(const char *, rcl_service_get_service_name, const void *)
 REAL(void *, rcl_service_configure_service_introspection, void)
 REAL(int, rcl_service_set_on_new_request_callback, const void *, const void *, const void *)
@@ -179,6 +182,10 @@ REAL(void, rcutils_reset_error, void)
 REAL(void, ros_trace_callback_start, const void *, bool)
 REAL(void, ros_trace_callback_end, const void *)
 REAL(void, ros_trace_rclcpp_intra_publish, const void *, const void *)
+/* The type of the service by which a node describes the types of its topics. */
+REAL_CALLED(const struct service_type *, type_description,
+            "rosidl_typesupport_c__get_service_type_support_handle__type_description_interfaces__srv__GetTypeDescription",
+            void)
 /* Of rclcpp: member functions of PublisherBase, and IntraProcessManager::remove_publisher. */
 #define SETUP_INTRA_PROCESS                                                                                              \
   "_ZN6rclcpp13PublisherBase19setup_intra_processEmSt10shared_ptrINS_12experimental19IntraProcessManagerEE"

@@ -18,6 +18,17 @@ static const void *request_type(const struct service_type *type)
   return known && real_rmw_serialize() && real_rmw_deserialize() && real_rcutils_reset_error() ? type->request : NULL;
 }
 
+/* The result of initializing a server, of which the type is `type`, and of its requests `request`. */
+static int listed(int result, void *service, const void *owner, const struct service_type *type, const void *request)
+{
+  if (result == 0 && !add_entry(server_key(service), owner, real_rcl_service_get_service_name()(service), SERVER, request,
+                                type->response)) {
+    real_rcl_service_fini()(service, (void *)owner);
+    return BAD_ALLOC;
+  }
+  return result;
+}
+
 EXPORT int rcl_service_init(void *service, const void *owner, const void *type, const char *name,
                             const struct service_options *options)
 {
@@ -27,13 +38,18 @@ EXPORT int rcl_service_init(void *service, const void *owner, const void *type, 
   struct service_options deeper = *options;
   if (deeper.history == KEEP_LAST && deeper.depth < QUEUE)
     deeper.depth = QUEUE;
-  int result = real_rcl_service_init()(service, owner, type, name, &deeper);
-  if (result == 0 && !add_entry(server_key(service), owner, real_rcl_service_get_service_name()(service), SERVER, request,
-                                ((const struct service_type *)type)->response)) {
-    real_rcl_service_fini()(service, (void *)owner);
-    return BAD_ALLOC;
-  }
-  return result;
+  return listed(real_rcl_service_init()(service, owner, type, name, &deeper), service, owner, type, request);
+}
+
+/* librcl initializes this server itself (from Jazzy on): where it is linked with -Bsymbolic-functions, the function above is
+ * not called. In Iron, this function had another form; there librcl also had one that ends the server. */
+EXPORT int rcl_node_type_description_service_init(void *service, const void *owner)
+{
+  int result = real_rcl_node_type_description_service_init()(service, owner);
+  bool unseen = page && result == 0 && !real_rcl_node_type_description_service_fini() && !find_server(service);
+  const struct service_type *type = unseen && real_type_description() ? real_type_description()() : NULL;
+  const void *request = request_type(type);
+  return request ? listed(result, service, owner, type, request) : result;
 }
 
 EXPORT int rcl_service_fini(void *service, void *owner)

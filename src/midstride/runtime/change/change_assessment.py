@@ -31,12 +31,14 @@ def change_assessment(
     states: Mapping[str, LatestState],
     last_known: Mapping[str, LastKnown] = Map(),
     ended: Sequence[Assessment] = (),
+    offers: Mapping[str, Collection[str]] = Map(),
 ) -> Assessments:
     """Return what may be said of ``outcome``, after which ``now`` runs.
 
     ``silences``: all that is silent now, also what was before; ``at_outputs``: what the counts of outputs show;
     ``states``: what each component reported before the change; ``last_known``: what was known of those that it has
-    ended. ``ended``: what has become of the nodes that have ended with an instance.
+    ended. ``ended``: what has become of the nodes that have ended with an instance; ``offers``: the services and ROS
+    actions of those that run now (in words), by instance, where they are known.
     """
     lowered = bool(outcome.below_baseline_seconds)
     return assessment.assessed(
@@ -45,7 +47,7 @@ def change_assessment(
             *(each for each in at_outputs if each.verdict != "lost" or each.at_most or not lowered),
             *_exchanged(plan, outcome),
             *silences_for_state(outcome, now),
-            *endpoints_that_ended(plan, last_known, states, _together(plan, outcome)),
+            *endpoints_that_ended(plan, last_known, states, _together(plan, outcome), offers),
             *names_now(plan, states, {time.step: time for time in outcome.steps if outcome.outcome == "done"}),
             *ended,
             *_others(plan, now),

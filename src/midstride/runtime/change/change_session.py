@@ -47,7 +47,13 @@ from midstride.runtime.change.container_copies import room_for_copies
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.goal_tallies import goal_tallies
-from midstride.runtime.change.lost_endpoints import answered_in_turn, lost_endpoints, messages_in_turn, with_goals
+from midstride.runtime.change.lost_endpoints import (
+    answered_in_turn,
+    lost_endpoints,
+    messages_in_turn,
+    offered,
+    with_goals,
+)
 from midstride.runtime.change.managed_nodes import require_unmanaged
 from midstride.runtime.change.other_nodes_losses import (
     ending_nodes,
@@ -435,6 +441,7 @@ class ChangeSession:
             states,
             dict(self.launcher.last_known),
             ended,
+            offered(system.life.latest_states, system.configuration),
         )
         said = f"{change.outcome}: {change.because}" if change.because else change.outcome
         self.events.add("outcome", "; ".join([said, *continuity.weakest]), outcome=change.outcome)

@@ -6,14 +6,16 @@ Of a node without the API, the graph shows these; a component with the API has n
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
+from immutables import Map
 from msgspec import structs
 
 from midstride.model.action import Create, Remove
 from midstride.model.component import ComponentSpec
+from midstride.model.configuration import Configuration
 from midstride.plan.expected_losses import planned_instances
 from midstride.plan.plan import Plan
 from midstride.runtime.instance_life import LatestState
@@ -85,14 +87,17 @@ def endpoints_that_ended(
     ended_instances: Mapping[str, LastKnown],
     states: Mapping[str, LatestState],
     together: Mapping[str, float],
+    offers: Mapping[str, Collection[str]] = Map(),
 ) -> Iterator[Assessment]:
     """Assess what has ended with ``ended_instances`` while ``plan`` was carried out, also with those that it had
     created.
 
-    ``states``: what was known when it began; ``together``: for how long both instances of a role ran (s), by role.
+    ``states``: what was known when it began; ``together``: for how long both instances of a role ran (s), by role;
+    ``offers``: the services and ROS actions of those that run now (in words), by instance, where they are known.
     """
     instances = [step.action.instance for step in plan.steps if isinstance(step.action, Create)]
     created = {instance.role: instance.component for instance in instances}
+    seen = {instance.role: offers.get(instance.name) for instance in instances}
     for name, instance in planned_instances(plan).items():
         if (known := ended_instances.get(name)) is None:
             continue
@@ -100,7 +105,10 @@ def endpoints_that_ended(
         spare = name not in start.instances and bool(start.instances_of(instance.role)) and not _accepted(known)
         beside = created.get(instance.role) if instance.role in together else None
         known_now = _as_planned(known, states.get(name))
-        yield from what_ended(name, instance.component, known_now, planned=False, beside=beside, spare=spare)
+        found = seen.get(instance.role)
+        yield from what_ended(
+            name, instance.component, known_now, planned=False, beside=beside, offers=found, spare=spare
+        )
         if instance.role in created and instance.role in together:
             old, new = instance.component, created[instance.role]
             yield from two_writers(instance.role, known, old, new, together[instance.role])
@@ -128,13 +136,15 @@ def what_ended(
     planned: bool,
     new: str = "it had just been started",
     beside: ComponentSpec | None = None,
+    offers: Collection[str] | None = None,
     spare: bool = False,
 ) -> Iterator[Assessment]:
     """Assess what ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
     two nodes with the library in their processes, the successor goes on with each service and ROS action; where it has
-    another name, not with those below the old one. Where one of the two has the API, it goes on with each service. The
+    another name, not with those below the old one. Where one of the two has the API, it goes on with each service. It
+    goes on with what it ``offers``, in words; None: that is not known. The
     old one goes on with the goals that it has accepted, as does a component with the API beside another one. ``spare``:
     no manager has accepted it, and another instance of its role runs: that answers, as long as something holds this one
     back, so it ends with no more than what it has called.
@@ -160,8 +170,10 @@ def what_ended(
             yield change_facts.goals_go_on(name, goals, component.stop_times.patience)
     both = [f"service {each.name}" for each in own if each.kind == "service" and each.serves]
     if both and beside is not None and component.gate is None and beside.gate is not None:
-        facts = change_facts.answered_if_offered if beside.preloads else change_facts.answered_by_both
-        yield facts(name, both, planned=planned)
+        if beside.preloads:
+            yield from _gone_on_with(name, both, offers, planned=planned)
+        else:
+            yield change_facts.answered_by_both(name, both, planned=planned)
     if state is not None:
         if state.starting:
             yield change_facts.management_unknown(name, state.starting, planned=planned)
@@ -180,10 +192,20 @@ def what_ended(
         if ending:
             yield change_facts.ends_with(name, ending, planned=planned)
         if goes_on and beside is not None and beside.name != component.name:
-            yield change_facts.answered_if_offered(name, goes_on, planned=planned)
+            yield from _gone_on_with(name, goes_on, offers, planned=planned)
         called += state.calls
     if called:
         yield change_facts.calls_end_with(name, called, planned=planned)
+
+
+def _gone_on_with(
+    name: str, served: Sequence[str], offers: Collection[str] | None, *, planned: bool
+) -> Iterator[Assessment]:
+    """Assess what a successor is to go on with: what it lacks, where it is known what it ``offers``."""
+    if offers is None:
+        yield change_facts.answered_if_offered(name, served, planned=planned)
+    elif lacking := [each for each in served if each not in offers]:
+        yield change_facts.not_offered(name, lacking)
 
 
 def _hands_over(state: ComponentState, old: ComponentSpec, new: ComponentSpec | None) -> bool:
@@ -194,6 +216,19 @@ def _hands_over(state: ComponentState, old: ComponentSpec, new: ComponentSpec | 
     """
     shares = new is not None and (new.loads_library or new.gate is None)
     return shares and old.loads_library and (old.preloads or state.keeps_name)
+
+
+def offered(states: Mapping[str, LatestState], configuration: Configuration) -> dict[str, list[str]]:
+    """Return, by instance, the services and ROS actions of the nodes with the library, in words, as the graph has shown
+    them.
+
+    ``states``: their last reports. A component with the API says which ones it has as it registers, not later.
+    """
+    return {
+        name: [each.words for each in latest.state.serves]
+        for name, latest in states.items()
+        if (instance := configuration.instances.get(name)) and instance.component.loads_library and latest.state.looked
+    }
 
 
 def shared_services(state: ComponentState) -> list[str]:
