@@ -19,7 +19,7 @@ from midstride.wire.commands import COMMANDS, Command
 from midstride.wire.state import ComponentState, Endpoint, WireValue
 
 # Incremented with every change of a frame, command, reply or event that another version could misread.
-PROTOCOL: Final = 8
+PROTOCOL: Final = 9
 # The longest frame (bytes): recorded receipts and exported state included.
 LONGEST_FRAME: Final = 256 * 1024 * 1024
 
@@ -120,7 +120,8 @@ def decode_greeting(line: bytes) -> Greeting:
     if versioned.protocol != PROTOCOL:
         raise ProtocolError(
             f"{versioned.instance} speaks version {versioned.protocol} of the control protocol, and this is "
-            f"version {PROTOCOL}: it was started with another version of Midstride; restart it"
+            f"version {PROTOCOL}: it was started with another version of Midstride; restart it (`midstride down` and "
+            "`up`, where the system has started it)"
         )
     frame = _decode(_from_component, line, "a greeting")
     if not isinstance(frame, Greeting):
