@@ -7,6 +7,7 @@ import errno
 import os
 import platform
 import re
+import shutil
 import signal
 import struct
 import subprocess
@@ -345,6 +346,21 @@ def test_the_gate_library_is_compiled_once(tmp_path: Path) -> None:
     assert first == second
     assert [path.name for path in (tmp_path / "midstride").iterdir()] == [first.name]
     assert build.library({"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path), "PATH": ""}) == first
+
+
+def test_an_upgrade_under_a_process_leaves_it_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = {"XDG_CACHE_HOME": str(tmp_path), "PATH": os.environ["PATH"]}
+    sources = tmp_path / "gate"
+    sources.mkdir()
+    copies = [Path(shutil.copy(source, sources)) for source in build.SOURCES]
+    monkeypatch.setattr(build, "SOURCES", tuple(copies))
+    compiled = build.library(here)
+    for changed in (True, False):
+        copies[0].write_text("int changed;") if changed else copies[0].unlink()
+        assert build.library(here) == compiled and build.is_available(here)
+        assert str(compiled) in build.origin(here), "the manager names it as it ends"
+        with pytest.raises(StartFailed, match=r"have changed since this process was started.*`midstride down`"):
+            build.library(here | {"XDG_CACHE_HOME": str(tmp_path / "none")})
 
 
 NO_COMPILER = r"there is no C compiler on the PATH to make it: install one .*, or write `gate relay`, which needs none"

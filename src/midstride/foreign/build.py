@@ -63,6 +63,11 @@ def library(environment: Mapping[str, str] = os.environ) -> Path:
             "no C compiler on the PATH to make it: install one (`apt-get install gcc libc6-dev`), name it in CC, or "
             "write `gate relay`, which needs none"
         )
+    if not _are_own():
+        raise StartFailed(
+            f"`gate preload` needs a library that is not here, {path}: the files of Midstride have changed since this "
+            "process was started, as by an upgrade; write `midstride down` and `midstride up`"
+        )
     compile_library(command, path, environment)
     return path
 
@@ -112,7 +117,7 @@ def prebuilt_path(machine: str = platform.machine()) -> Path:
 
 def library_name(machine: str) -> str:
     """The name of the library for a ``machine``, with the hash of the sources and options that it is made from."""
-    return f"{STEM}{_digest()}-{machine}.so"
+    return f"{STEM}{_OWN}-{machine}.so"
 
 
 def _why_not_prebuilt() -> str:
@@ -140,8 +145,20 @@ def _cache(environment: Mapping[str, str]) -> Path:
     return Path(base) / "midstride"
 
 
+def _are_own() -> bool:
+    """Return whether the sources are still those that were there as this process began."""
+    try:
+        return _digest() == _OWN
+    except OSError:
+        return False
+
+
 def _digest() -> str:
     digest = hashlib.sha256(" ".join((*_OPTIONS, *_LIBRARIES)).encode())
     for source in SOURCES:
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]
+
+
+# As this process has begun, which may go on with its code after an upgrade: another version's library is not used.
+_OWN: Final = _digest()
