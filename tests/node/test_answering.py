@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
-from midstride.node.control.command_handlers import REQUESTS_SECONDS, CommandHandlers
+from midstride.node.control.component_end import REQUESTS_SECONDS, ComponentEnd
 from midstride.node.control.service_answering import PASS_INTERVAL, SERVE_TIMEOUT, YIELD_ATTEMPTS, Answering
 from midstride.node.request_admission import (
     HELD,
@@ -514,9 +514,9 @@ def test_requests_of_which_the_successor_says_nothing_are_waited_for_and_named()
             return int(clock() * 1e9)
 
         callbacks = SimpleNamespace(stop=None, stop_timeout=1.0)
-        handlers: Any = object.__new__(CommandHandlers)
-        handlers.parts = SimpleNamespace(callbacks=callbacks)
-        handlers.host = SimpleNamespace(
+        end: Any = object.__new__(ComponentEnd)
+        end.parts = SimpleNamespace(callbacks=callbacks)
+        end.host = SimpleNamespace(
             admission=RequestAdmission(steady, is_open=False),
             instance="old",
             logger=SimpleNamespace(error=said.append),
@@ -524,12 +524,12 @@ def test_requests_of_which_the_successor_says_nothing_are_waited_for_and_named()
             steady=steady,
         )
         answering = SimpleNamespace(has_successor=True, may_pass_on=True, undecided=lambda: ["request 1"])
-        handlers._handovers = SimpleNamespace(answering=answering)
-        assert handlers._stopping_seconds() > REQUESTS_SECONDS
-        await handlers._finish_requests(steady() + int(REQUESTS_SECONDS * 1e9))
+        end.handovers = SimpleNamespace(answering=answering)
+        assert end.seconds() > REQUESTS_SECONDS
+        await end._finish_requests(steady() + int(REQUESTS_SECONDS * 1e9))
         words = "after 10 s, its successor has not said which of the requests held here it has received"
         assert said == [f"old ends, but {words}"] and clock() >= REQUESTS_SECONDS
         answering.undecided = list
-        assert handlers._stopping_seconds() < REQUESTS_SECONDS
+        assert end.seconds() < REQUESTS_SECONDS
 
     run(main())

@@ -175,7 +175,7 @@ def test_what_the_change_created_is_killed_where_it_does_not_answer(tmp_path: Pa
 def test_beside_one_that_has_exited_the_other_one_is_killed(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.crash("talker")
-        assert await b.executor._kill(["talker", "listener"])
+        assert await b.executor._back._kill(["talker", "listener"])
         assert b.backend.ended == [("listener", KILL_AT_ONCE)]
 
     bench(talking(), tmp_path, body)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from midstride.errors import Unreachable
-from midstride.node.control.command_handlers import REQUESTS_SECONDS, RESPONSE_SECONDS
+from midstride.node.control.component_end import REQUESTS_SECONDS, RESPONSE_SECONDS
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from tests.runtime.counting import EXPORT, IMPORT, at_rates, counting, exchanged, for_messages, settle, system

@@ -15,11 +15,11 @@ from midstride.node.accepted_goals import Goals
 from midstride.node.author import client_ports
 from midstride.node.author.client_ports import ClientPort
 from midstride.node.control import component_agent
-from midstride.node.control.command_handlers import CommandHandlers
+from midstride.node.control.component_end import ComponentEnd
 from midstride.node.control.service_answering import Answering
 from midstride.node.handover import cut, cut_protocol
 from midstride.node.request_admission import RequestAdmission, Turn
-from midstride.runtime.change import executor, reconciler
+from midstride.runtime.change import executor, reconciler, roll_back
 from midstride.runtime.handover import live_handover
 from midstride.runtime.process import component_client, launcher
 from midstride.runtime.records import state_store
@@ -119,12 +119,12 @@ def _roll_back_not_recorded(patch: pytest.MonkeyPatch) -> None:
 
     async def undo(self: Any, undoing: Any, created: Any) -> str | None:
         if isinstance(undoing, Create):
-            await self.perform(undoing)
+            await self.performer.perform(undoing)
             return None
         return await original(self, undoing, created)
 
-    original = executor.Executor._undo
-    plant(patch, executor.Executor, "_undo", undo)
+    original = roll_back.RollBack._undo
+    plant(patch, roll_back.RollBack, "_undo", undo)
 
 
 def _removal_not_recorded(patch: pytest.MonkeyPatch) -> None:
@@ -150,12 +150,12 @@ def _failed_write_forgotten(patch: pytest.MonkeyPatch) -> None:
 
 def _undo_incomplete(patch: pytest.MonkeyPatch) -> None:
     """A roll-back leaves out the first step."""
-    roll_back = executor.Executor._roll_back
+    back = roll_back.RollBack.run
 
     async def all_but_one(self: Any, done: Any) -> list[str]:
-        return await roll_back(self, done[1:])
+        return await back(self, done[1:])
 
-    plant(patch, executor.Executor, "_roll_back", all_but_one)
+    plant(patch, roll_back.RollBack, "run", all_but_one)
 
 
 def _started_ahead_left(patch: pytest.MonkeyPatch) -> None:
@@ -164,7 +164,7 @@ def _started_ahead_left(patch: pytest.MonkeyPatch) -> None:
     async def abandon(self: Any, actions: Any) -> list[str]:
         return []
 
-    plant(patch, executor.Executor, "_abandon", abandon)
+    plant(patch, roll_back.RollBack, "abandon", abandon)
 
 
 def _lease_forgotten(patch: pytest.MonkeyPatch) -> None:
@@ -335,7 +335,7 @@ def _goals_not_awaited(patch: pytest.MonkeyPatch) -> None:
     async def goals_end(self: Any, seconds: float) -> bool:
         return True
 
-    plant(patch, CommandHandlers, "_goals_end", goals_end)
+    plant(patch, ComponentEnd, "_goals_end", goals_end)
 
 
 def _results_not_looked_for(patch: pytest.MonkeyPatch) -> None:

@@ -24,7 +24,8 @@ from midstride.model.component import DEFAULT_STOP, ComponentSpec
 from midstride.node.author.declaration import DeclaredParts
 from midstride.node.clock_history import STILL
 from midstride.node.component_host import Host
-from midstride.node.control.command_handlers import CommandHandlers, Revision
+from midstride.node.control.command_handlers import CommandHandlers
+from midstride.node.control.mode_commands import Revision
 from midstride.node.data.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.diagnostic_status import diagnostics
 from midstride.node.legible import legible
@@ -107,8 +108,8 @@ class Agent:
                 pass  # SIGTERM, SIGINT
             self._stopping.set()
             self._report_end()  # a manager that has not asked for it should know
-            await handlers.end()
-            if handlers.unfinished is not None or self.host.admission.goals.counts is not None:
+            await handlers.end.run()
+            if handlers.end.unfinished is not None or self.host.admission.goals.counts is not None:
                 self._report_end()  # for the report of the change
         finally:
             for task in tasks:

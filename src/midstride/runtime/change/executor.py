@@ -8,53 +8,41 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import logging
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Final
 
 from midstride.errors import (
-    BackendError,
     EndUnknown,
     MidstrideError,
-    StartFailed,
     StepFailed,
     Superseded,
-    internal_error,
 )
-from midstride.model import wording
 from midstride.model.action import Action, Create, Handover, Remove, SetParameters
 from midstride.model.configuration import Configuration
-from midstride.model.wording import counted
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
+from midstride.runtime.change.action_performer import ActionPerformer
 from midstride.runtime.change.change_phases import ChangeEvent
 from midstride.runtime.change.early_starts import EarlyStarts, StartFailedEarly
+from midstride.runtime.change.roll_back import DoneActions, RollBack
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.settings_watch import BrokenBySetting
+from midstride.runtime.change.step_failure import failure_reason
 from midstride.runtime.change.step_order import StepOrder
 from midstride.runtime.handover.cut_turns import CutTurn, CutTurns, GivenUp
-from midstride.runtime.process.child_process import tail as tail_of
-from midstride.runtime.process.log_runs import text_of_latest_run
 from midstride.runtime.records.reports import StepTime
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.running_system import RunningSystem
 
 log = logging.getLogger(__name__)
 
-# How often it is looked whether a process has exited whose connection has closed, and how long that is apart (s).
-EXIT_LOOKS: Final = 10
-EXIT_INTERVAL: Final = 0.05
 # Where what cannot be started is left out: after how long without a registration (s) the steps go on that do not need
 # a process that has not registered.
 LATE: Final = 1.0
-
-# The actions that are done, each with the configuration that it was applied to.
-DoneActions = list[tuple[Action, Configuration]]
 
 
 @dataclass(slots=True)
@@ -66,6 +54,8 @@ class Executor:
     # Whether ``run`` was cancelled between two rounds, while it rolled back, or when every step was done.
     interrupted: bool = False
     _starts: EarlyStarts = field(init=False)
+    _performer: ActionPerformer = field(init=False)
+    _back: RollBack = field(init=False)
     _began: float = 0.0  # steady s
     _described: dict[int, str] = field(default_factory=dict)  # those of each step that has begun
     _done: DoneActions = field(default_factory=list)
@@ -77,6 +67,8 @@ class Executor:
 
     def __post_init__(self) -> None:
         self._starts = EarlyStarts(self.driver, self.store)
+        self._performer = ActionPerformer(self.driver, self.store)
+        self._back = RollBack(self._performer, self._starts)
 
     @property
     def change(self) -> RunningChange:
@@ -138,7 +130,7 @@ class Executor:
                 await run_to_completion(self._fail(indices, failures), self._interrupt)
         await run_to_completion(self._starts.stop(), self._interrupt)
         if left_out := self.change.left_out:
-            await run_to_completion(self._abandon(actions), self._interrupt)
+            await run_to_completion(self._back.abandon(actions), self._interrupt)
             because = "; ".join(f"{role} is left out: {why}" for role, why in sorted(left_out.items()))
             self.change.happened(ChangeEvent.LEFT_OUT, because)
         else:
@@ -202,7 +194,7 @@ class Executor:
         if len(indices) == 1:
             await self._take(indices[0])
             return {}
-        held = self._commanding(self.change.actions[indices[0]])
+        held = self._performer.lock_for(self.change.actions[indices[0]])
         async with held or contextlib.nullcontext():
             taking = [asyncio.ensure_future(self._take(index, place)) for place, index in enumerate(indices)]
             try:
@@ -258,7 +250,7 @@ class Executor:
         action, clock = self.change.actions[index], self.driver.backend.clock
         key = _estimates(action, self.system.configuration, self.change.actions) if place is None else None
         begun = clock.steady()
-        await self._step(action, held=place is not None and self._commanding(action) is not None, turn=turn)
+        await self._step(action, held=place is not None and self._performer.lock_for(action) is not None, turn=turn)
         took = clock.steady() - begun
         if isinstance(action, Handover) and not self.change.brief:  # how long a probation takes is known
             took = max(0.0, took - self.change.plan.change.probation(action))
@@ -281,7 +273,9 @@ class Executor:
         if isinstance(action, Create) and action.instance.component.once:
             performing = asyncio.ensure_future(self._run_program(action))
         else:
-            performing = asyncio.ensure_future(self._perform(action) if held else self.perform(action, turn))
+            performing = asyncio.ensure_future(
+                self._performer.perform_locked(action) if held else self._performer.perform(action, turn)
+            )
         try:
             if isinstance(action, Create):
                 await self._starts.wait(performing)
@@ -335,14 +329,14 @@ class Executor:
         return True
 
     async def _run_program(self, action: Create) -> Configuration:
-        """Start the program of a creation, which ends, and wait until it has; see :meth:`perform`."""
+        """Start the program of a creation, which ends, and wait until it has; see :meth:`ActionPerformer.perform`."""
         await self._starts.start(action)
-        return await self.perform(action)
+        return await self._performer.perform(action)
 
     async def _fail(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> None:
         """Roll back, and raise StepFailed: ``failures`` are those of the steps at ``indices``, by index."""
         reasons = {
-            index: await self._reason(self.change.actions[index], error)
+            index: await failure_reason(self.driver, self.change.actions[index], error)
             for index, error in failures.items()
             if not isinstance(error, GivenUp)
         }
@@ -362,155 +356,16 @@ class Executor:
         self.change.happened(ChangeEvent.STEP_FAILED, because)
         await self._starts.stop()
         begun = min([indices[0], *self._order.late])
-        problems = await self._abandon(self.change.actions[begun:])
+        problems = await self._back.abandon(self.change.actions[begun:])
         if any(isinstance(each, EndUnknown) for each in errors):
             problems.append("what has been done stays, as nothing can return to an instance that may end at any time")
             because += f"; {'; '.join(problems)}"
-        elif problems := [*problems, *await self._roll_back(self._done)]:
+        elif problems := [*problems, *await self._back.run(self._done)]:
             because += f"; and the roll-back failed: {'; '.join(problems)}"
         self.change.happened(ChangeEvent.NOT_UNDONE if problems else ChangeEvent.UNDONE, because)
         if isinstance(error, asyncio.CancelledError) and not problems:
             raise error
         raise StepFailed(because, "failed" if problems else "rolled_back") from error
-
-    async def _reason(self, action: Action, error: BaseException) -> str:
-        """Why a step has failed, with what a new instance has written last, where it has exited or raised.
-
-        Nothing else would show it: the roll-back removes the instance.
-        """
-        words, life = _words(error), self.system.life
-        if not isinstance(error, MidstrideError) or isinstance(error, (StartFailed, Superseded)):
-            return words
-        for new in (each.instance for each in self.change.actions if isinstance(each, Create)):
-            if new.name not in action.instances() or new.component.run is None:
-                continue
-            for _ in range(EXIT_LOOKS):  # the end of its connection is known first
-                if not life.is_gone(new.name) or life.has_exited(new.name):
-                    break
-                await self.driver.backend.clock.sleep(EXIT_INTERVAL)
-            exit, handle = life[new.name].exit, life[new.name].handle
-            if life.has_exited(new.name) and exit is not None:
-                tail = exit.log_tail.strip()
-                return wording.with_log(f"{new.name} {wording.exited(exit.status)}", tail) if tail else words
-            if new.component.gate is not None and handle is not None and handle.log is not None:
-                tail = text_of_latest_run(tail_of(Path(handle.log)))
-                if (exception := wording.exception_in(tail)) is not None:
-                    return f"{words}; it has raised {exception}\n{tail.strip()}"
-        return words
-
-    async def perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
-        """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError.
-
-        Returns the configuration that it was applied to. ``turn``: of a hand-over beside others.
-        """
-        async with self._commanding(action) or contextlib.nullcontext():
-            return await self._perform(action, turn)
-
-    def _commanding(self, action: Action) -> asyncio.Lock | None:
-        """The lock that is held during ``action``; None if the response to a crash leaves its instances alone."""
-        return None if isinstance(action, Create | Handover | Remove) else self.change.commanding
-
-    async def _perform(self, action: Action, turn: CutTurn | None = None) -> Configuration:
-        before = self.system.configuration
-        action.apply(before)
-        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}", turn)
-        before = self.system.configuration  # steps beside it may have been done meanwhile
-        after = action.effect(before)
-        self.system.moved(after)
-        self.change.moved(after, action.instances())
-        match action:
-            case Create(instance) if instance.component.once:
-                self.store.write_instance(instance, None, done=True)
-            case Remove(instance):
-                self.store.remove_instance(instance)
-            case SetParameters(instance):
-                self.store.write_instance(after.instances[instance], self.system.life[instance].handle)
-        return before
-
-    async def _roll_back(self, done: DoneActions) -> list[str]:
-        """Undo the actions in ``done``, last first. Returns what failed; the other actions are undone.
-
-        Removals in a row are carried out at once, and processes of creations in a row start side by side. An instance
-        that the change itself created is removed in any case: if it does not answer, it is killed.
-        """
-        if not done:
-            return list(self.driver.fences.problems())
-        self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", total=len(done))
-        created = {action.instance.name for action, _ in done if isinstance(action, Create)}
-        await self._kill(name for name in sorted(created) if self.system.life.responsive(name) is None)
-        problems = list(self.driver.fences.problems())
-        kept = self._taken_over(done)
-        undoing = (
-            each
-            for action, before in reversed(done)
-            if not kept & set(action.instances())
-            for each in action.undo(before)
-        )
-        for kind, actions in itertools.groupby(undoing, type):
-            row = list(actions)
-            if kind is Remove:
-                found = await asyncio.gather(*(self._undo(each, created) for each in row))
-            else:
-                self._starts.begin(each for each in row if isinstance(each, Create))
-                found = [await self._undo(each, created) for each in row]
-                await self._starts.stop()
-            problems += filter(None, found)
-        problems += self.driver.not_answering()
-        if not problems:
-            self.driver.events.add("rolled_back", "every step has been undone")
-        return problems
-
-    def _taken_over(self, done: DoneActions) -> set[str]:
-        """The fenced instances and those that have taken over from them: a topic does not go back to one that hangs."""
-        fenced = self.system.life.fenced
-        swaps = [swap for action, _ in done if isinstance(action, Handover) for swap in action.swaps]
-        return {*fenced, *(swap.new.instance for swap in swaps if swap.old.instance in fenced)}
-
-    async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
-        """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns, and says, why."""
-        what = undoing.describe(self.system.configuration)
-        if isinstance(undoing, SetParameters) and self.driver.settings.left_as_set(undoing):
-            return None
-        while True:
-            try:
-                if isinstance(undoing, Create):
-                    await self._starts.start(undoing)  # the next manager must find what was removed and is there again
-                await self.perform(undoing)
-                await self.change.performed(undoing)
-                return None
-            except Exception as error:
-                problem = f"{what}: {_words(error)}"
-            if not await self._kill(name for name in undoing.instances() if name in created):
-                problem = "; ".join([problem, *await self._abandon([undoing])])
-                self.driver.events.add("rollback_failed", f"the roll-back is incomplete: {problem}")
-                return problem
-
-    async def _kill(self, instances: Iterable[str]) -> bool:
-        """Kill the processes of ``instances``, which then count as crashed; whether there was one."""
-        killed = False
-        for name in instances:
-            if self.system.life.has_exited(name) or not self.system.life[name].is_owned:
-                continue
-            try:
-                await self.driver.launcher.kill(name)
-            except BackendError as error:
-                self.driver.events.add("note", f"{name} could not be killed: {error}")
-                continue
-            self.driver.events.add("note", f"{name} was created by this change and does not answer: it was killed")
-            killed = True
-        return killed
-
-    async def _abandon(self, actions: Iterable[Action]) -> list[str]:
-        """Terminate what was started for ``actions``. Returns why each of the others could not be."""
-        problems: list[str] = []
-        for action in actions:
-            if isinstance(action, Create) and action.instance.name not in self.system.configuration.instances:
-                error = await self.driver.launcher.abandon(action.instance.name)
-                if error is not None:
-                    problems.append(f"{action.instance.name} could not be terminated: {error}")
-                else:
-                    self.store.remove_instance(action.instance.name)
-        return problems
 
 
 def _programs_last(actions: Sequence[Action]) -> frozenset[int]:
@@ -532,13 +387,3 @@ def _estimates(action: Action, configuration: Configuration, actions: Sequence[A
         case Remove(name):
             return f"remove {configuration.component(name).name}"
     return action.kind
-
-
-def _words(error: BaseException) -> str:
-    """The message of an exception; an unexpected one is logged with its traceback."""
-    if isinstance(error, MidstrideError):
-        return str(error)
-    if isinstance(error, asyncio.CancelledError):
-        return "the manager is shutting down"
-    log.error("a step failed with an unexpected error", exc_info=error)
-    return internal_error(error)
