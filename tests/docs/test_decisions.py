@@ -51,7 +51,7 @@ def test_the_index_has_each_decision_once() -> None:
 GOOD = """# A title
 
 - **Status:** accepted
-- **Modules:** `wire/claims.py`
+- **Modules:** `wire/cut_locks.py`
 
 ## Question
 
@@ -78,8 +78,8 @@ None known.
         ("- **Status:** accepted\n", "", "needs a title"),
         ("accepted", "tried", "has the status tried"),
         ("accepted", "withdrawn", "has the status withdrawn"),
-        ("`wire/claims.py`", "`wire/claim.py`", "names wire/claim.py"),
-        ("`wire/claims.py`", "wire", "has modules that"),
+        ("`wire/cut_locks.py`", "`wire/cut_lock.py`", "names wire/cut_lock.py"),
+        ("`wire/cut_locks.py`", "wire", "has modules that"),
         ("## Rejected\n\n- Another.\n\n", "", "needs the sections"),
         ("None known.\n", "", "has an empty section Price"),
         ("This one.", "[This](one.md).", "links to one.md"),

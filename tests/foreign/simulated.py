@@ -158,7 +158,7 @@ class _Transport:
 
     def __init__(self, control: SimulatedControl) -> None:
         self._control = control
-        self.address, self.present, self.claim = control.address, control.present, control.claim
+        self.address, self.present, self.cut_lock = control.address, control.present, control.cut_lock
 
     async def listen(self, instance: str, serve: Serve) -> StopListening:
         process: Any = _Process()

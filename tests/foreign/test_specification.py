@@ -35,7 +35,7 @@ from midstride.plan.specification_diff import differences
 from midstride.plan.strategies.registry import planner
 from midstride.runtime.backend_protocol import Handle, Launch
 from midstride.runtime.handover.agreed_cut import early_publishers, publishers_found, require_found
-from midstride.runtime.handover.arbiter_choice import BATON, CLAIM, choose_arbiter, require_arbiters
+from midstride.runtime.handover.arbiter_choice import BATON, LOCK, choose_arbiter, require_arbiters
 from midstride.runtime.instance_life import LifeTable
 from midstride.runtime.manager_clock import SystemClock
 from midstride.wire.commands import AwaitMatchCommand
@@ -280,7 +280,7 @@ def test_a_hand_over_is_between_two_that_can_be_held_back(tmp_path: Path) -> Non
     relayed = replace(unmodified, name="talker_4", component=replace(unmodified.component, gate="relay"))
     mixed = both.with_instance(ours).with_instance(relayed)
     for pair in pairwise(("talker", "talker_3", "talker_4", "talker", "talker_4", "talker_3", "talker")):
-        assert choose_arbiter(mixed.component, *pair) is (BATON if "talker" in pair else CLAIM)
+        assert choose_arbiter(mixed.component, *pair) is (BATON if "talker" in pair else LOCK)
     with pytest.raises(StepFailed, match="talker_3 uses Midstride's API and talker_2 has `gate none`"):
         choose_arbiter(mixed.component, "talker_3", "talker_2")
     with pytest.raises(StepFailed, match="talker_4 has `gate relay`, so talker_2 cannot be held back for the other"):

@@ -12,9 +12,9 @@ from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.ports import Output, OutputLink
 from midstride.node.component_host import Host, MessageInfo
 from midstride.node.data.trigger import InfoSet
-from midstride.node.handover.arbiter import ClaimArbiter
+from midstride.node.handover.arbiter import LockArbiter
 from midstride.node.handover.cut import GRACE, IncomingCut, OutgoingCut, belongs_after, source_of
-from midstride.wire.pipe import PipeClaim
+from midstride.wire.pipe import PipeLock
 
 from .author import String
 
@@ -98,8 +98,8 @@ def write(link: OutputLink, words: str) -> None:
     link.output.write(String(data=words))
 
 
-def claim() -> ClaimArbiter:
-    return ClaimArbiter(PipeClaim({}, "cut"))
+def cut_lock() -> LockArbiter:
+    return LockArbiter(PipeLock({}, "cut"))
 
 
 # -- what belongs where ----------------------------------------------------------------------------
@@ -142,7 +142,7 @@ def test_a_set_of_messages_is_as_new_as_its_newest() -> None:
 
 
 def incoming(*links: OutputLink, latches: tuple[OutputLink, ...] = ()) -> IncomingCut:
-    side = IncomingCut(links, Clocks().host, claim(), T, latches=latches)
+    side = IncomingCut(links, Clocks().host, cut_lock(), T, latches=latches)
     side.arm(T)
     return side
 
@@ -194,7 +194,7 @@ def test_the_new_side_continues_the_grid_it_is_given() -> None:
 
 def outgoing(owner: Owner, clocks: Clocks) -> tuple[OutgoingCut, OutputLink]:
     link, _ = link_of(owner)
-    side = OutgoingCut([link], clocks.host, claim(), T)
+    side = OutgoingCut([link], clocks.host, cut_lock(), T)
     side.arm()
     return side, link
 
@@ -211,7 +211,7 @@ def test_a_grid_whose_slot_before_the_moment_is_over_has_passed_it() -> None:
 def test_an_old_side_has_passed_once_each_of_its_functionalities_has() -> None:
     past, late = Owner(rate=Grid(slot=T - 1)), Owner(rate=Grid(slot=T - 20_000_000))
     links = [link_of(owner, topic)[0] for owner, topic in ((past, "/a"), (late, "/b"))]
-    side = OutgoingCut(links, Clocks(T + 1).host, claim(), T)
+    side = OutgoingCut(links, Clocks(T + 1).host, cut_lock(), T)
     side.arm()
     assert not side.passed() and not any(link.gate == "closed" and not link.cut for link in links)
     assert late.rate is not None
@@ -223,7 +223,7 @@ def test_a_fast_clock_leaves_a_call_real_time_to_be_late_in() -> None:
     """At 50x, two periods of 20 ms are less than 1 ms."""
     clocks = Clocks(T + 10**9)
     clocks.simulated_time, clocks.real = True, 0
-    side = OutgoingCut([link_of(Owner())[0]], clocks.host, claim(), T)
+    side = OutgoingCut([link_of(Owner())[0]], clocks.host, cut_lock(), T)
     side.arm()
     assert not side.passed()
     clocks.real += int(GRACE * 0.9e9)
@@ -262,7 +262,7 @@ def test_messages_that_reach_the_old_side_are_watched_until_the_new_side_is_conf
 def test_of_one_publisher_a_newer_message_shows_that_all_older_have_arrived(in_order: bool) -> None:
     owner, clocks = Owner(driven="message", rate=None), Clocks(T)
     link, _ = link_of(owner)
-    side = OutgoingCut([link], clocks.host, claim(), T, in_order=in_order)
+    side = OutgoingCut([link], clocks.host, cut_lock(), T, in_order=in_order)
     side.arm()
     owner.watch(T)
     assert not side.passed(), "a message of the moment itself says nothing about others of that moment"
@@ -275,7 +275,7 @@ def test_a_data_thread_that_did_not_run_may_have_messages_waiting() -> None:
     """So that none has come for long says nothing until it has looked again."""
     owner, clocks = Owner(driven="message", rate=None), Clocks(T - 100)
     link, published = link_of(owner)
-    side = OutgoingCut([link], clocks.host, claim(), T, in_order=True)
+    side = OutgoingCut([link], clocks.host, cut_lock(), T, in_order=True)
     side.arm()
     clocks.time = T + 300_000_000
     assert not side.passed()
@@ -290,7 +290,7 @@ def test_a_data_thread_that_did_not_run_may_have_messages_waiting() -> None:
 def test_what_comes_after_the_new_side_has_waited_for_it_is_left_out() -> None:
     owner, clocks = Owner(driven="message", rate=None, info=T - 10), Clocks(T)
     link, published = link_of(owner)
-    side = OutgoingCut([link], clocks.host, claim(), T, until=T + 1000)
+    side = OutgoingCut([link], clocks.host, cut_lock(), T, until=T + 1000)
     side.arm()
     clocks.time = T + 1000
     write(link, "in time")
@@ -299,23 +299,23 @@ def test_what_comes_after_the_new_side_has_waited_for_it_is_left_out() -> None:
     assert (published, link.gated) == (["in time"], 1)
 
 
-@pytest.mark.parametrize("by", ["its report", "its claim"])
+@pytest.mark.parametrize("by", ["its report", "its lock"])
 @pytest.mark.parametrize("passed", [-20_000_000, 0, 50_000_000, 50_000_001, 1_000_000_000])
 def test_a_call_that_hung_is_outdated_if_the_new_side_writes(passed: int, by: str) -> None:
     """Whichever way the old side learns of it: after a stop it may come to the call before it hears of anything."""
     link, published = link_of(Owner(slots=(T - 20_000_000, T - 20_000_000)))
-    holders: dict[str, PipeClaim] = {}
-    clocks, new = Clocks(T + passed), PipeClaim(holders, "cut")
-    side = OutgoingCut([link], clocks.host, ClaimArbiter(PipeClaim(holders, "cut")), T)
+    holders: dict[str, PipeLock] = {}
+    clocks, new = Clocks(T + passed), PipeLock(holders, "cut")
+    side = OutgoingCut([link], clocks.host, LockArbiter(PipeLock(holders, "cut")), T)
     side.arm()
     write(link, "nobody else writes")
-    if by == "its claim":
+    if by == "its lock":
         assert new.take()
     else:
         side.taken_at = clocks.steady()
     write(link, "beside the new one's")
     assert published == ["nobody else writes", "beside the new one's"][: 1 + (passed <= 50_000_000)]
-    assert side.arbiter.reclaim() == (by != "its claim")
+    assert side.arbiter.reclaim() == (by != "its lock")
 
 
 def test_a_fast_clock_leaves_a_call_real_time_before_it_is_outdated() -> None:
@@ -336,7 +336,7 @@ def test_an_old_side_that_writes_again_has_lost_nothing(driven: str, rate: Grid 
     """One late message stands for all slots that have come, as where state moves; and each message is answered."""
     owner, clocks = Owner(driven=driven, rate=rate), Clocks(T - 10)
     link, published = link_of(owner)
-    side = OutgoingCut([link], clocks.host, claim(), T)
+    side = OutgoingCut([link], clocks.host, cut_lock(), T)
     side.arm()
     write(link, "before")
     clocks.time = T + 10
@@ -353,7 +353,7 @@ def test_an_old_side_that_writes_again_has_lost_nothing(driven: str, rate: Grid 
 def answered_after_the_moment() -> tuple[OutgoingCut, OutputLink, list[str]]:
     """The old side that has answered a message of the new one's, its attachment, and what has gone out."""
     link, published = link_of(Owner(driven="message", rate=None, info=T + 10))
-    side = OutgoingCut([link], Clocks(T - 10).host, claim(), T)
+    side = OutgoingCut([link], Clocks(T - 10).host, cut_lock(), T)
     side.arm()
     write(link, "held back")
     return side, link, published

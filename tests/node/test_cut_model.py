@@ -1,6 +1,6 @@
 """A cut, explored: every order of the steps of both sides, of the manager and of the network, with deaths.
 
-The two sides are the shipped ones, `CutOutTask` and `CutInTask` with their gates, over either arbiter: with a claim
+The two sides are the shipped ones, `CutOutTask` and `CutInTask` with their gates, over either arbiter: with a lock
 they have agreed on a moment; with a baton each message decides, by the steps of the shipped library. Here are only the
 threads that they run on: a step is what one of them does until it waits. A thread may wait for as long as it likes, so
 every stall and every lost or late message is among these orders. Coroutines have no copy, so a world is made again from
@@ -21,12 +21,12 @@ from midstride.errors import CallTimeout, CommandRefused, Unreachable
 from midstride.foreign.page_layout import PortFlag
 from midstride.node.component_host import Host
 from midstride.node.handover import cut_protocol
-from midstride.node.handover.arbiter import Arbiter, ClaimArbiter
+from midstride.node.handover.arbiter import Arbiter, LockArbiter
 from midstride.node.handover.baton import BatonState, BatonStep, BatonWord, SharedSlot
 from midstride.node.handover.cut import GRACE, IncomingCut, IncomingSide, OutgoingCut, OutgoingSide
 from midstride.node.handover.cut_life import CutEvent
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
-from midstride.wire.pipe import PipeClaim
+from midstride.wire.pipe import PipeLock
 from tests.native import baton_steps
 from tests.node.test_cut import PERIOD, Clocks, Grid, Owner, T, link_of, write
 from tests.planting import plant
@@ -158,32 +158,32 @@ class Process:
         return self.alive, len(self.slots), works, jobs, gate, self.world.rights.state(self)
 
 
-class Claims:
-    """The claims of both sides: one, or two that have nothing to do with each other where they are on two ``hosts``."""
+class Locks:
+    """The locks of both sides: one, or two that have nothing to do with each other where they are on two ``hosts``."""
 
     def __init__(self, sides: dict[str, Process], hosts: int) -> None:
-        holders: list[dict[str, PipeClaim]] = [{} for _ in range(hosts)]
-        self.claims = {
-            process: PipeClaim(holders[number % hosts], "cut", f"host {number % hosts}")
+        holders: list[dict[str, PipeLock]] = [{} for _ in range(hosts)]
+        self.locks = {
+            process: PipeLock(holders[number % hosts], "cut", f"host {number % hosts}")
             for number, process in enumerate(sides.values())
         }
         self.holders = holders
 
     def arbiter(self, process: Process) -> Arbiter:
-        return ClaimArbiter(self.claims[process])
+        return LockArbiter(self.locks[process])
 
     def free(self, process: Process) -> None:
         """The kernel does it."""
-        self.claims[process].give_back()
+        self.locks[process].give_back()
 
     def may_write(self, process: Process) -> bool:
-        return any(self.claims[process] in each.values() for each in self.holders)
+        return any(self.locks[process] in each.values() for each in self.holders)
 
     def place(self, process: Process) -> str:
-        return self.claims[process].place
+        return self.locks[process].place
 
     def state(self, process: Process) -> object:
-        return self.claims[process]._shared, self.may_write(process)
+        return self.locks[process]._shared, self.may_write(process)
 
 
 class Baton:
@@ -270,7 +270,7 @@ class World:
     """``manager``: its commands; it may end before each. `c` cancels and `s` resolves a side, `o` or `n`, `k` kills it,
     `d` takes it off its topic.
 
-    ``mortal``: the sides that may die. ``fails``: the code of the new side may raise. ``hosts``: one, with one claim
+    ``mortal``: the sides that may die. ``fails``: the code of the new side may raise. ``hosts``: one, with one lock
     for both sides, or two. With a ``library``, a baton decides.
     """
 
@@ -280,13 +280,13 @@ class World:
         self.moment = 0
         self.manager, self.mortal, self.fails = manager, mortal, fails
         self.command: Work | None = None
-        # Whether the old side was heard long after T, beside the new one: with one claim it can know.
-        self.outdated, self.one_claim = False, library is None and hosts == 1
+        # Whether the old side was heard long after T, beside the new one: with one lock it can know.
+        self.outdated, self.one_lock = False, library is None and hosts == 1
         self.reports: list[Report] = []
         self.processes = {"o": Process(self, [T - SLOT, T]), "n": Process(self, [T])}
         old, new = self.processes.values()
         old.link.open = True
-        self.rights = Claims(self.processes, hosts) if library is None else Baton(self.processes, library)
+        self.rights = Locks(self.processes, hosts) if library is None else Baton(self.processes, library)
         outgoing: OutgoingSide
         incoming: IncomingSide
         if library is None:
@@ -359,7 +359,7 @@ class World:
                 self.manager = ""
             case "o", "call", _:
                 old, late = self.processes["o"], MOMENTS[self.moment] - T > GRACE * 1e9
-                beside, heard = late and self.one_claim and self.processes["n"].writes(), len(old.published)
+                beside, heard = late and self.one_lock and self.processes["n"].writes(), len(old.published)
                 old.do("call", 0)
                 self.outdated = self.outdated or (beside and len(old.published) > heard)
             case name, what, index:
@@ -558,7 +558,7 @@ def test_with_a_baton_two_sides_can_never_both_write_and_one_does(
 
 @pytest.mark.parametrize(("manager", "states"), [("", 2256), pytest.param("kn", 6768, marks=FULL)])
 def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager: str, states: int) -> None:
-    """They share no claim, so it cannot know that the new side has ended."""
+    """They share no lock, so it cannot know that the new side has ended."""
     found = explore(manager=manager, hosts=2)
     assert len(found) == states
     assert all(seen.writes != "on" for seen in found if seen.confirmed and seen.outcomes[0] == "done")
@@ -566,7 +566,7 @@ def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager
     assert any(seen.confirmed and not seen.writes for seen in found if seen.settled) == bool(manager)
 
 
-async def cancelled_without_the_claim(self: Any) -> None:
+async def cancelled_without_the_lock(self: Any) -> None:
     await self._end(CutEvent.CANCELLED, self.side.reopen)
 
 
@@ -575,10 +575,10 @@ async def cancelled_without_the_claim(self: Any) -> None:
     [
         (CutOutTask, "_may_resume", lambda self: not self._taken, ""),
         pytest.param(IncomingCut, "admits", IncomingCut.passes, "", marks=FULL, id="admits"),
-        pytest.param(CutOutTask, "cancel", cancelled_without_the_claim, "co", marks=FULL, id="cancel"),
+        pytest.param(CutOutTask, "cancel", cancelled_without_the_lock, "co", marks=FULL, id="cancel"),
     ],
 )
-def test_the_exploration_finds_a_side_that_does_not_claim(
+def test_the_exploration_finds_a_side_that_does_not_lock(
     task: type, name: str, mistake: Any, manager: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plant(monkeypatch, task, name, mistake)
@@ -587,7 +587,7 @@ def test_the_exploration_finds_a_side_that_does_not_claim(
 
 def test_the_exploration_finds_an_old_side_that_is_heard_beside_the_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """It was stopped before T, and goes on with the call that it was in, long after the new side has written."""
-    plant(monkeypatch, ClaimArbiter, "is_overtaken", lambda self: False)
+    plant(monkeypatch, LockArbiter, "is_overtaken", lambda self: False)
     assert any(seen.outdated for seen in explore())
 
 

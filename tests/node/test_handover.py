@@ -13,7 +13,7 @@ from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.network import SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.errors import CommandRefused
-from midstride.wire.pipe import PipeClaim
+from midstride.wire.pipe import PipeLock
 from tests.conformance import puppets
 from tests.conformance.lab import Lab
 from tests.planting import plant
@@ -458,18 +458,18 @@ def test_an_attach_that_finds_too_few_says_how_many(tmp_path: Path) -> None:
     in_lab(tmp_path, main)
 
 
-def test_an_old_side_that_has_a_claim_elsewhere_writes_again_on_command_only(
+def test_an_old_side_that_has_a_lock_elsewhere_writes_again_on_command_only(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two hosts: that this one's claim is free says nothing about the new side."""
+    """Two hosts: that this one's lock is free says nothing about the new side."""
 
     async def main(lab: Lab, simulator: Simulator) -> None:
         await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
 
-        def claim_of(process: SimulatedProcess, cut: str) -> PipeClaim:
-            return PipeClaim({}, cut, process.instance)
+        def lock_of(process: SimulatedProcess, cut: str) -> PipeLock:
+            return PipeLock({}, cut, process.instance)
 
-        plant(monkeypatch, simulator.control, "claim_of", claim_of)
+        plant(monkeypatch, simulator.control, "lock_of", lock_of)
         await cut_at(lab, await next_slot(lab, 0.2))
         assert await outcomes(lab) == ("done", "done")
         await lab.sleep(1.0)

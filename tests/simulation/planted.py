@@ -40,12 +40,12 @@ def _acknowledgement_dropped(patch: pytest.MonkeyPatch) -> None:
     plant(patch, cut_protocol.CutOutTask, "taken", taken)
 
 
-def _resumed_without_claim(patch: pytest.MonkeyPatch) -> None:
+def _resumed_without_lock(patch: pytest.MonkeyPatch) -> None:
     """The old side of a cut writes again although the new one may have taken over: its report is late."""
     plant(patch, cut_protocol.CutOutTask, "_may_resume", lambda self: not self._taken)
 
 
-def _written_without_claim(patch: pytest.MonkeyPatch) -> None:
+def _written_without_lock(patch: pytest.MonkeyPatch) -> None:
     """The new side of a cut writes although the old one may write again."""
     plant(patch, cut.IncomingCut, "admits", cut.IncomingCut.passes)
 
@@ -358,8 +358,8 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
     function.__name__.strip("_").replace("_", " "): (function, words)
     for function, words in (
         (_acknowledgement_dropped, "resumed before it learned"),
-        (_resumed_without_claim, "are both heard on"),
-        (_written_without_claim, "is open on"),
+        (_resumed_without_lock, "are both heard on"),
+        (_written_without_lock, "is open on"),
         (_write_not_durable, "another manager of this system has taken over"),
         (_lease_forgotten, "a superseded manager starts"),
         (_superseded_goes_on, "a superseded manager sends"),

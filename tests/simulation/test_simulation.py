@@ -53,7 +53,7 @@ print([run.digest for run in simulate_many({seeds!r})])
     ("name", "first"),
     [
         ("gate opened early", 0),
-        pytest.param("resumed without claim", 720, marks=pytest.mark.full),
+        pytest.param("resumed without lock", 720, marks=pytest.mark.full),
         ("acknowledgement dropped", 0),
         ("dependants not lowered", 0),
         ("removal not recorded", 0),

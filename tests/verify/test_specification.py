@@ -269,7 +269,7 @@ def test_without_the_analyzer_the_command_fails_before_the_proofs(
 def test_a_check_states_its_claim() -> None:
     def claim(kind: str, expected: bool) -> str:
         command = AlloyCommand("core", "X", "check" if kind == "check" else "run", expected, 5)
-        return Checked(Task("core", (command,)), Answer.HOLDS, 0.0).claim
+        return Checked(Task("core", (command,)), Answer.HOLDS, 0.0).statement
 
     assert claim("check", False) == "has no counterexample, to scope 5"
     assert claim("check", True) == "has a counterexample, at scope 5"

@@ -248,7 +248,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (JoinRequestsCommand(place=PagePlace(page="/p", library="/l", index=3), timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
-    (CutTakenCommand(cut="c", failed=True, claim="here", timeout=1.5), Confirmed(resumed=True)),
+    (CutTakenCommand(cut="c", failed=True, lock="here", timeout=1.5), Confirmed(resumed=True)),
     (YieldCommand(address="/c/a_2.sock", instance="a_2", timeout=1.5), Yielded(handled=["1 2", "1 3"], goals=["0a"])),
     (MissingRequestsCommand(requests=["1 2", "1 3"], timeout=1.5), MissingRequests(requests=["1 3"])),
     (ServeCommand(request="1 3", service="/a/count", data=b"\0\1", timeout=1.5), ServedRequest(response=b"\2")),

@@ -90,7 +90,10 @@ def load_library(path: Path) -> Any:
     library.midstride_take_step.restype = c_uint64
     library.midstride_is_dead.argtypes = [c_int, c_uint32]
     library.midstride_map.argtypes, library.midstride_map.restype = [c_int], c_void_p
-    library.midstride_claim.argtypes, library.midstride_claim.restype = [c_void_p, c_int, c_uint32], c_uint32
+    library.midstride_reserve_port.argtypes, library.midstride_reserve_port.restype = (
+        [c_void_p, c_int, c_uint32],
+        c_uint32,
+    )
     library.midstride_free.argtypes, library.midstride_free.restype = [c_void_p, c_uint32], None
     library.midstride_requests_step.argtypes = [c_void_p, c_int, c_uint32, c_int, c_uint32, c_int64]
     library.midstride_requests_step.restype = c_uint64
@@ -458,10 +461,10 @@ class Page:
         if any(len(topic.encode()) >= NAME for topic, _ in topics):
             raise BackendError(f"the topic of a port with a gate has at most {NAME - 1} bytes")
         for number, (topic, kind) in enumerate(topics):
-            claimed = self._library.midstride_claim(self._address, self._file, index)
-            if not claimed:
+            reserved = self._library.midstride_reserve_port(self._address, self._file, index)
+            if not reserved:
                 raise BackendError(f"the page of the gates, {self.path}, has no room for a port")
-            port = self._ports[claimed - 1]
+            port = self._ports[reserved - 1]
             port.number, port.topic, port.kind = number, topic.encode(), kind
 
     def new_baton(self, holder: int) -> int:

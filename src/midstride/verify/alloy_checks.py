@@ -60,8 +60,8 @@ class Checked:
     because: str | None = None
 
     @property
-    def claim(self) -> str:
-        """The claim that was checked."""
+    def statement(self) -> str:
+        """The statement that was checked."""
         if len(self.task.commands) > 1:
             checks = [command.scope for command in self.task.commands if command.kind == "check"]
             runs = len(self.task.commands) - len(checks)
@@ -76,7 +76,7 @@ class Checked:
         return {
             "check": str(self.task),
             "commands": [command.name for command in self.task.commands],
-            "claim": self.claim,
+            "claim": self.statement,
             "verdict": self.answer.value,
             "because": self.because,
             "seconds": round(self.seconds, 3),

@@ -452,13 +452,13 @@ class StopCommand(Command[Done], frozen=True, kw_only=True, tag="stop"):
 class CutTakenCommand(Command[Confirmed], frozen=True, kw_only=True, tag="taken"):
     """From the new side of a cut to the old one: it has written, or it has ``failed`` and will not.
 
-    ``claim``: where the claim is that it has taken (:class:`midstride.wire.transport.CutClaim`).
+    ``lock``: where the lock is that it has taken (:class:`midstride.wire.transport.CutLock`).
     """
 
     kind = "between"
     cut: str
     failed: bool = False
-    claim: str = ""
+    lock: str = ""
 
 
 class YieldCommand(Command[Yielded], frozen=True, kw_only=True, tag="yield"):

@@ -11,7 +11,7 @@ from midstride.errors import NodeError, Unreachable
 from midstride.wire.transport import Connection, Serve, StopListening
 
 _SCHEME = "memory:"
-# The place of claims, unless another one is named.
+# The place of locks, unless another one is named.
 MEMORY: Final = "memory"
 
 
@@ -65,10 +65,10 @@ def pipe() -> tuple[PipeEnd, PipeEnd]:
     return left, right
 
 
-class PipeClaim:
-    """Implements :class:`midstride.wire.transport.CutClaim`. ``holders`` has, by cut, the claim that holds it."""
+class PipeLock:
+    """Implements :class:`midstride.wire.transport.CutLock`. ``holders`` has, by cut, the lock that holds it."""
 
-    def __init__(self, holders: dict[str, PipeClaim], cut: str, place: str = MEMORY) -> None:
+    def __init__(self, holders: dict[str, PipeLock], cut: str, place: str = MEMORY) -> None:
         self._holders = holders
         self._cut = cut
         self.place = place
@@ -106,7 +106,7 @@ class PipeNetwork:
     def __init__(self) -> None:
         self.listeners: dict[str, Serve] = {}
         self._serving: set[asyncio.Future[None]] = set()
-        self._claims: dict[str, dict[str, PipeClaim]] = {}  # by place
+        self._locks: dict[str, dict[str, PipeLock]] = {}  # by place
 
     def address(self, instance: str) -> str:
         return f"{_SCHEME}{instance}"
@@ -114,9 +114,9 @@ class PipeNetwork:
     def instance(self, address: str) -> str:
         return address.removeprefix(_SCHEME)
 
-    def claim(self, cut: str, place: str = MEMORY) -> PipeClaim:
-        """A claim of ``cut`` among those of one ``place``: those of two places do not exclude each other."""
-        return PipeClaim(self._claims.setdefault(place, {}), cut, place)
+    def cut_lock(self, cut: str, place: str = MEMORY) -> PipeLock:
+        """A lock of ``cut`` among those of one ``place``: those of two places do not exclude each other."""
+        return PipeLock(self._locks.setdefault(place, {}), cut, place)
 
     def present(self) -> dict[str, str]:
         return {instance: self.address(instance) for instance in sorted(self.listeners)}

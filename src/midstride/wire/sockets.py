@@ -24,14 +24,14 @@ from typing import Any, Final
 from urllib.parse import quote, unquote
 
 from midstride.errors import CallTimeout, NodeError, ProtocolError, Unreachable
-from midstride.wire.claims import FileClaim
+from midstride.wire.cut_locks import FileLock
 from midstride.wire.frames import LONGEST_FRAME
 from midstride.wire.transport import Serve, StopListening
 
 _SCHEME: Final = "unix:"
 _SUFFIX: Final = ".sock"
 _BACKLOG: Final = 16
-_CLAIMS: Final = ".claims"
+_LOCKS: Final = ".locks"
 # How long the lock of the folder may be held by a process that takes a name (s).
 LOCK_TIMEOUT: Final = 2.0
 # For how long, and how often, a connection is tried again that the kernel refuses for now (s).
@@ -94,8 +94,8 @@ class SocketFolder:
     def address(self, instance: str) -> str:
         return f"{_SCHEME}{self._path(instance)}"
 
-    def claim(self, cut: str) -> FileClaim:
-        return FileClaim(self.folder / _CLAIMS, cut)
+    def cut_lock(self, cut: str) -> FileLock:
+        return FileLock(self.folder / _LOCKS, cut)
 
     def present(self) -> dict[str, str]:
         try:

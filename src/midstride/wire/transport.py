@@ -31,14 +31,14 @@ Serve = Callable[[Connection], Awaitable[None]]
 StopListening = Callable[[], None]
 
 
-class CutClaim(Protocol):
+class CutLock(Protocol):
     """The right to write what belongs after a cut: at most one of its sides has it, whatever it knows of the other.
 
     It is free again when its holder gives it back, or when the holder's process ends. Any thread.
     """
 
     def take(self) -> bool:
-        """Take the claim if it is free; return whether this side has it now. Does not wait."""
+        """Take the lock if it is free; return whether this side has it now. Does not wait."""
 
     def renounce(self) -> bool:
         """Never take it from now on, unless this side has it; whether it has not."""
@@ -51,13 +51,13 @@ class CutClaim(Protocol):
 
     @property
     def place(self) -> str:
-        """Where the claim is; empty where that is not known. Two sides have one claim if they have it in one place."""
+        """Where the lock is; empty where that is not known. Two sides have one lock if they have it in one place."""
 
     def share(self, place: str) -> None:
         """The other side has it, or had it, in ``place``."""
 
     def take_freed(self) -> bool:
-        """Take the claim from another side that had it; False while it is unknown whether that had the same one.
+        """Take the lock from another side that had it; False while it is unknown whether that had the same one.
 
         That side has then given it back, or its process has ended.
         """
@@ -78,8 +78,8 @@ class Transport(Protocol):
     def address(self, instance: str) -> str:
         """The address of a component of this system, whether it listens or not."""
 
-    def claim(self, cut: str) -> CutClaim:
-        """One side's claim of a cut. Sides on different hosts have different claims, and both get theirs."""
+    def cut_lock(self, cut: str) -> CutLock:
+        """One side's lock of a cut. Sides on different hosts have different locks, and both get theirs."""
 
     def present(self) -> dict[str, str]:
         """The components that have an address now, possibly dead ones among them: instance -> address."""

@@ -15,7 +15,7 @@ from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import NodeError, Unreachable
 from midstride.wire import frames
 from midstride.wire.frames import Reply, Request
-from midstride.wire.pipe import PipeClaim, PipeEnd, PipeNetwork
+from midstride.wire.pipe import PipeEnd, PipeLock, PipeNetwork
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Connection, Serve, StopListening
 
@@ -136,9 +136,9 @@ class SimulatedControl:
         self._pipes = PipeNetwork()
         self._processes: dict[str, SimulatedProcess] = {}
         self._ends: dict[SimulatedProcess, list[SimulatedEnd]] = {}
-        self._claims: dict[SimulatedProcess, list[PipeClaim]] = {}
+        self._locks: dict[SimulatedProcess, list[PipeLock]] = {}
         self.address = self._pipes.address
-        self.claim = self._pipes.claim
+        self.cut_lock = self._pipes.cut_lock
         self.present = self._pipes.present
 
     def of(self, process: SimulatedProcess) -> ProcessControl:
@@ -173,13 +173,13 @@ class SimulatedControl:
             self._pipes.listeners.pop(instance, None)
         for end in self._ends.pop(process, []):
             end.close()
-        for claim in self._claims.pop(process, []):
-            claim.give_back()
+        for lock in self._locks.pop(process, []):
+            lock.give_back()
 
-    def claim_of(self, process: SimulatedProcess, cut: str) -> PipeClaim:
-        """A claim that is free again when ``process`` ends."""
-        self._claims.setdefault(process, []).append(claim := self._pipes.claim(cut, process.machine))
-        return claim
+    def lock_of(self, process: SimulatedProcess, cut: str) -> PipeLock:
+        """A lock that is free again when ``process`` ends."""
+        self._locks.setdefault(process, []).append(lock := self._pipes.cut_lock(cut, process.machine))
+        return lock
 
 
 class ProcessControl:
@@ -191,8 +191,8 @@ class ProcessControl:
         self.address = control.address
         self.present = control.present
 
-    def claim(self, cut: str) -> PipeClaim:
-        return self._control.claim_of(self._process, cut)
+    def cut_lock(self, cut: str) -> PipeLock:
+        return self._control.lock_of(self._process, cut)
 
     async def listen(self, instance: str, serve: Serve) -> StopListening:
         return await self._control.listen(instance, serve, self._process)

@@ -100,7 +100,7 @@ def _show(out: Console, proof: Proof, verbose: bool) -> None:
     seconds = "  ".join(f"{name} {took:5.2f} s" for name, took in proof.seconds.items())
     style = _STYLES[proof.answer.value]
     goal = proof.goal
-    row = f"{proof.answer!s:8}  {goal.kind:5}  {goal.name:14}  {seconds}  {goal.claim}"
+    row = f"{proof.answer!s:8}  {goal.kind:5}  {goal.name:14}  {seconds}  {goal.statement}"
     _line(out, row, style)
     if proof.because is not None:
         _line(out, f"          {proof.because}", style)
@@ -127,7 +127,7 @@ def _checks(out: Console, alloy: Alloy, scope: int, jobs: int | None, limit: flo
         done.append(checked)
         style, because = _STYLES[checked.answer.value], checked.because
         place, took = f"{len(done):2}/{total}", f"{checked.seconds:6.1f} s"
-        _line(out, f"{checked.answer!s:8}  {place}  {checked.task!s:32}  {took}  {checked.claim}", style)
+        _line(out, f"{checked.answer!s:8}  {place}  {checked.task!s:32}  {took}  {checked.statement}", style)
         if because is not None:
             _line(out, f"          {because}", style)
     passed = sum(checked.answer.value == "holds" for checked in done)

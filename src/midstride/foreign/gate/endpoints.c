@@ -92,7 +92,7 @@ static struct port *port_of(unsigned me, const char *topic, uint32_t kind)
   }
   bool shared = kind == OUTPUT && handed_over(me, topic);
   bool wanted = kind == SERVER ? strlen(topic) < NAME : listed(me, topic) || shared;
-  struct port *port = wanted && strlen(topic) < NAME ? claim_port(page, descriptor, me) : NULL;
+  struct port *port = wanted && strlen(topic) < NAME ? reserve_port(page, descriptor, me) : NULL;
   if (!port && shared)
     dprintf(STDERR_FILENO, "midstride: %s has no gate, since the page of the gates has no room for it: while this node is "
             "replaced, both instances write there\n", topic);

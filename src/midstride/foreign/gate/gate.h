@@ -42,7 +42,7 @@ struct requests *requests_at(struct page *shared, unsigned number);
 struct flock lock_of(unsigned index, short type);
 int is_dead(int file, unsigned index);
 /* A port that is now of the node `own` (index + 1), without a kind; the page grows where none is free. NULL: it cannot. */
-struct port *claim_port(struct page *shared, int file, unsigned own);
+struct port *reserve_port(struct page *shared, int file, unsigned own);
 /* Give a port back that a node no longer has. */
 void free_port(struct port *port);
 /* The part of a node (index from 0) in the page is free, and its ports are. */

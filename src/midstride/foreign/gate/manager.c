@@ -72,9 +72,9 @@ EXPORT struct page *midstride_map(int file)
 }
 
 /* A port for the node `index`, as its index + 1; 0 where the page cannot grow. */
-EXPORT unsigned midstride_claim(struct page *shared, int file, unsigned index)
+EXPORT unsigned midstride_reserve_port(struct page *shared, int file, unsigned index)
 {
-  struct port *port = claim_port(shared, file, index + 1);
+  struct port *port = reserve_port(shared, file, index + 1);
   return port ? (unsigned)(port - shared->ports) + 1 : 0;
 }
 

@@ -105,7 +105,7 @@ static void list_node(const void *created)
   if (!name || strlen(name) >= NAME)
     return;
   pthread_mutex_lock(&lock);
-  struct port *port = claim_port(page, descriptor, owner_of(name));
+  struct port *port = reserve_port(page, descriptor, owner_of(name));
   if (port) {
     strcpy(port->topic, name);
     port->number = NODE_NUMBER;

@@ -57,7 +57,7 @@ void free_port(struct port *port)
   atomic_store(&port->node, 0);
 }
 
-struct port *claim_port(struct page *shared, int file, unsigned own)
+struct port *reserve_port(struct page *shared, int file, unsigned own)
 {
   unsigned room = atomic_load(&shared->head.room);
   for (unsigned index = 0;; index++) {

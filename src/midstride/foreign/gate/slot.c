@@ -103,7 +103,7 @@ static struct requests *shared_requests(const struct slot *slot)
 /* Whether it has a service, which the other node may have, too. */
 EXPORT int midstride_serve(struct slot *slot, const char *name)
 {
-  struct port *port = strlen(name) < NAME ? claim_port(slot->page, slot->file, slot->index + 1) : NULL;
+  struct port *port = strlen(name) < NAME ? reserve_port(slot->page, slot->file, slot->index + 1) : NULL;
   if (!port)
     return 0;
   strncpy(port->topic, name, NAME - 1);

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from midstride.wire.transport import CutClaim
+from midstride.wire.transport import CutLock
 
 
 class Arbiter(Protocol):
@@ -68,14 +68,14 @@ class Arbiter(Protocol):
 
 
 @dataclass(eq=False)
-class ClaimArbiter:
-    """Between two components: the side that takes the claim first is the one that writes from the agreed moment on.
+class LockArbiter:
+    """Between two components: the side that takes the lock first is the one that writes from the agreed moment on.
 
     Until then the old side writes without it. The new side takes it before its first write, the old one before it
     writes again.
     """
 
-    claim: CutClaim
+    lock: CutLock
     refused: bool = field(default=False, init=False)
     settled: bool = field(default=True, init=False)
     passed_on: bool = field(default=False, init=False)
@@ -93,27 +93,27 @@ class ClaimArbiter:
     def request(self) -> None: ...
 
     def renounce(self) -> bool:
-        return self.claim.renounce()
+        return self.lock.renounce()
 
     def give_back(self) -> None:
         self._has = False
-        self.claim.give_back()
+        self.lock.give_back()
 
     @property
     def is_overtaken(self) -> bool:
-        return self.claim.is_taken
+        return self.lock.is_taken
 
     def share(self, place: str) -> None:
-        self.claim.share(place)
+        self.lock.share(place)
 
     def reclaim(self) -> bool:
-        self._has = self.claim.take()
+        self._has = self.lock.take()
         return self._has
 
     def reclaim_freed(self) -> bool:
-        self._has = self._has or self.claim.take_freed()
+        self._has = self._has or self.lock.take_freed()
         return self._has
 
     def leave(self) -> None:
         if not self._has:
-            self.claim.give_back()
+            self.lock.give_back()

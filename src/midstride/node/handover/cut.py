@@ -4,7 +4,7 @@ docs/protocols/cut.md. Both publishers know one moment T. A write belongs to the
 slot of the time grid whose call made it, or to the newest message that it answers, or else to the moment it is made.
 The old side passes what belongs before T (of messages: up to T), the new side the rest. So neither clocks nor
 scheduling decide, and every write passes exactly one gate. A call so late that it accounts for several slots belongs
-to the first of them on the old side and to the last on the new one, so that T is written, if late. The new side claims
+to the first of them on the old side and to the last on the new one, so that T is written, if late. The new side locks
 the cut before its first write, and the old one before it writes again: only one of them can. This module runs on the
 data thread; :mod:`midstride.node.handover.cut_protocol` runs on the control thread.
 """

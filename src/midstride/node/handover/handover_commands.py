@@ -16,7 +16,7 @@ from midstride.node.control.service_answering import Answering
 from midstride.node.control.state_hooks import StateHooks
 from midstride.node.data.functionality_runner import FunctionalityRunner
 from midstride.node.data.mode_switch import DataExecutor, within
-from midstride.node.handover.arbiter import ClaimArbiter
+from midstride.node.handover.arbiter import LockArbiter
 from midstride.node.handover.baton import SharedSlot
 from midstride.node.handover.cut import (
     CutSide,
@@ -34,7 +34,7 @@ from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
 from midstride.wire.state import GateState
-from midstride.wire.transport import CutClaim
+from midstride.wire.transport import CutLock
 
 R = TypeVar("R")
 Side: TypeAlias = CutOutTask | CutInTask
@@ -150,7 +150,7 @@ class HandoverCommands:
         export = None if command.state is None else self._export(command.state)
         in_order = export is not None and _in_order(links)
         side = OutgoingCut(
-            links, self.host, ClaimArbiter(self._claim(command)), command.at, in_order=in_order, clock=command.clock
+            links, self.host, LockArbiter(self._lock(command)), command.at, in_order=in_order, clock=command.clock
         )
         if command.state is not None and command.state.order_only:
             side.until = command.at + int(command.state.timeout * 1e9)
@@ -182,11 +182,11 @@ class HandoverCommands:
             for link, swap in zip(links, command.swaps, strict=True)
             if swap.latch or link.output.owner.driven == "none"
         ]
-        claim = self._claim(command)
+        lock = self._lock(command)
         side = IncomingCut(
             links,
             self.host,
-            ClaimArbiter(claim),
+            LockArbiter(lock),
             command.at,
             latches=latches,
             quiet=command.quiet,
@@ -206,7 +206,7 @@ class HandoverCommands:
 
         async def report(timeout: float, failed: bool) -> bool:
             nonlocal old
-            taken = commands.CutTakenCommand(cut=command.cut, failed=failed, claim="" if failed else claim.place)
+            taken = commands.CutTakenCommand(cut=command.cut, failed=failed, lock="" if failed else lock.place)
             channel = await self._channel(command.address, timeout)
             old = old or channel.greeting.uuid
             if channel.greeting.uuid != old:  # that one knows nothing of the cut, and would say that it writes
@@ -265,7 +265,7 @@ class HandoverCommands:
     async def taken(self, command: commands.CutTakenCommand) -> replies.Confirmed:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""
         old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
-        resumed = [await side.taken(command.failed, command.claim) for side in old]
+        resumed = [await side.taken(command.failed, command.lock) for side in old]
         return replies.Confirmed(resumed=any(resumed) if old else True)
 
     # -- state ---------------------------------------------------------------------------------------
@@ -326,10 +326,10 @@ class HandoverCommands:
             self._imports = {transfer.id: state}
         return self._imports[transfer.id]
 
-    def _claim(self, command: commands.CutOutCommand | commands.CutInCommand) -> CutClaim:
+    def _lock(self, command: commands.CutOutCommand | commands.CutInCommand) -> CutLock:
         if self.host.transport is None:
             raise CommandRefused("this component runs without a control socket, so it hands nothing over")
-        return self.host.transport.claim(command.cut)
+        return self.host.transport.cut_lock(command.cut)
 
     def give_back(self) -> None:
         """New sides without any attachment left have nothing to write."""

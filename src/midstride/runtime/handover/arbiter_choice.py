@@ -28,8 +28,8 @@ class ArbiterKind:
     exchange: float = 0.0
 
 
-# Both processes have an agent: a moment, and a claim for the case that one side does not keep to it.
-CLAIM: Final = ArbiterKind(by_moment=True)
+# Both processes have an agent: a moment, and a lock for the case that one side does not keep to it.
+LOCK: Final = ArbiterKind(by_moment=True)
 # A library holds back one side, or both: a word of shared memory.
 BATON: Final = ArbiterKind(by_moment=False)
 # How long a lifecycle node may take to become active, or inactive, unless it states another time (s).
@@ -45,7 +45,7 @@ def choose_arbiter(component: Callable[[str], ComponentSpec], old: str, new: str
     gates = {name: component.gate for name, component in pair.items()}
     loose = next((name for name, each in pair.items() if not each.counts_messages), None)
     if loose is None:
-        return CLAIM if all(each.has_agent for each in pair.values()) else BATON
+        return LOCK if all(each.has_agent for each in pair.values()) else BATON
     if gates[old] == gates[new] == "lifecycle":  # neither can be held back but by its lifecycle state
         activation = pair[new].activate_seconds or TRANSITION
         return ArbiterKind(by_moment=False, needs_probation=False, exchange=TRANSITION + activation)

@@ -56,7 +56,7 @@ class Goal:
 
     name: str
     kind: str
-    claim: str
+    statement: str
     build: Callable[[Theory], Case]
     rules: tuple[str, ...] = ()
     spare: Set[str] = frozenset()

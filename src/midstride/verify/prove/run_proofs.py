@@ -74,7 +74,7 @@ class Proof:
         return {
             "fact": self.goal.kind,
             "goal": self.goal.name,
-            "claim": self.goal.claim,
+            "claim": self.goal.statement,
             "verdict": self.answer.value,
             "because": self.because,
             "ok": self.ok,

@@ -1,4 +1,4 @@
-"""Claims of cuts between processes: byte locks of one file beside the sockets, which the kernel frees when one ends."""
+"""Locks of cuts: each is a locked byte of one file beside the sockets, which the kernel frees as its process ends."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _HELD = (errno.EAGAIN, errno.EACCES)
 _FLOCK = "hhqqi4x"
 
 
-class FileClaim:
-    """Implements :class:`midstride.wire.transport.CutClaim`: a lock of the byte of ``path`` that ``cut`` is hashed to.
+class FileLock:
+    """Implements :class:`midstride.wire.transport.CutLock`: a lock of the byte of ``path`` that ``cut`` is hashed to.
 
     The lock is that of an open file description, so both sides of a cut may be in one process. The file stays open once
     it is used: were it removed and made again, the other side's lock would be in another file.
