@@ -40,6 +40,11 @@ def planted(prefix: Path, package: str, *programs: str) -> str:
         (["{}/lib/demo_nodes/talker"], ("talker", "demo_nodes")),
         (["{}/lib/demo_nodes/talker", "--loud", "--ros-args", "-r", "__node:=x"], ("talker --loud", "demo_nodes")),
         (["/usr/bin/python3", "{}/lib/demo_nodes/talker", "--ros-args"], ("talker", "demo_nodes")),
+        (
+            "{}/lib/demo_nodes/talker --ros-args -p a:=1 -r m:__ns:=/n -e /x --log-level warn -- -u --ros-args "
+            "--remap c:=d --remap __name:=y --params-file f".split(),
+            ("talker -u --ros-args -p a:=1 --log-level warn --remap c:=d --params-file f", "demo_nodes"),
+        ),
         (["/usr/bin/python3", "-u", "{}/lib/demo_nodes/talker"], None),
         (["{}/lib/other_nodes/talker"], None),
         (["lib/demo_nodes/talker"], None),

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from midstride.errors import StartFailed
 from midstride.model.near_miss import did_you_mean
@@ -39,8 +38,9 @@ def executable(package: str, name: str, environment: Mapping[str, str]) -> str:
 
 
 def installed_program(pid: int, proc: str = "/proc") -> tuple[str, str] | None:
-    """The executable, with its arguments before those of ROS, and its package, that the process ``pid`` was started as.
+    """The executable, with its arguments, and its package, that the process ``pid`` was started as.
 
+    Without those for ROS that Midstride states itself: the name and the namespace of its node, and the enclave.
     None where that is no `PREFIX/lib/PACKAGE/NAME`, nor a script there, of an installed package.
     """
     try:
@@ -53,9 +53,26 @@ def installed_program(pid: int, proc: str = "/proc") -> tuple[str, str] | None:
         above, package = os.path.split(folder)
         indexed = os.path.join(os.path.dirname(above), INDEX, package)
         if os.path.basename(above) == "lib" and os.path.isabs(word) and os.path.isfile(indexed):
-            own = itertools.takewhile(lambda each: each != "--ros-args", words[number + 1 :])
-            return shlex.join([name, *own]), package
+            return shlex.join([name, *_without_names(words[number + 1 :])]), package
     return None
+
+
+def _without_names(words: Sequence[str]) -> list[str]:
+    """The arguments of a process without the options for ROS that name its node, or its enclave."""
+    own: list[str] = []
+    of_ros: list[str] = []
+    for_ros, rest = False, iter(words)
+    for word in rest:
+        if word == ("--" if for_ros else "--ros-args"):
+            for_ros = not for_ros
+        elif for_ros and word in {"-r", "--remap", "-e", "--enclave"}:
+            value = next(rest, "")
+            name = value.partition(":=")[0].rpartition(":")[2]
+            if word in {"-r", "--remap"} and name not in {"__node", "__name", "__ns"}:
+                of_ros += [word, value]
+        else:
+            (of_ros if for_ros else own).append(word)
+    return [*own, "--ros-args", *of_ros] if of_ros else own
 
 
 def component_library(package: str, plugin: str, environment: Mapping[str, str]) -> str:

@@ -173,3 +173,31 @@ def test_the_shown_command_gives_texts_as_texts() -> None:
     given = dict(word.split(":=", 1) for option, word in pairwise(command) if option == "-p")
     assert {name: yaml.safe_load(word) for name, word in given.items()} == values
     assert (given["serial"], given["plain"]) == ('"5"', "/dev/x")
+
+
+@pytest.mark.parametrize(("asks", "expected"), [("list", [0.0, 0.1, 0.3, 0.7, 1.5]), ("unload", [0.0, 1.0, 2.0])])
+def test_a_lost_request_is_sent_again_soon_where_it_changes_nothing(
+    asks: str, expected: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from midstride.backends.ros2.manager import container_services
+
+    interfaces: Any = ModuleType("composition_interfaces.srv")
+    interfaces.UnloadNode, interfaces.ListNodes = MagicMock(), MagicMock()
+    monkeypatch.setitem(sys.modules, "composition_interfaces", ModuleType("composition_interfaces"))
+    monkeypatch.setitem(sys.modules, "composition_interfaces.srv", interfaces)
+    sent: list[float] = []
+
+    def client(type_: str, name: str, callback_group: Any = None) -> MagicMock:
+        found = MagicMock()
+        found.handle.send_request.side_effect = lambda _: sent.append(asyncio.get_running_loop().time())
+        found.handle.take_response.side_effect = lambda _: None
+        return found
+
+    services = container_services.ContainerServices(Mock(create_client=client), "/box")
+    with pytest.raises(NoAnswer):
+        run(
+            services._nodes(2.4)
+            if asks == "list"
+            else services._call(interfaces.UnloadNode, "_container/unload_node", 2.4, None)
+        )
+    assert [round(at - sent[0], 1) for at in sent] == expected

@@ -94,6 +94,9 @@ class ProgramParameters:
         await self._answers(timeout)
         return dict(self.program.values[self.instance])
 
+    def offers_parameters(self) -> bool:
+        return True
+
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
         await self._answers(timeout)
         program, own = self.program, self.program.values[self.instance]

@@ -98,6 +98,9 @@ class SimulatedNode:
         await self._answers(timeout)
         return dict(self.values)
 
+    def offers_parameters(self) -> bool:
+        return True
+
     async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
         await self._answers(timeout)
         if refused := [self.rejects[name] for name in values if name in self.rejects]:

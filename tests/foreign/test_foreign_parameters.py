@@ -9,13 +9,16 @@ from typing import Any, cast
 
 import pytest
 
+from midstride.backends.simulator.virtual_loop import run
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, CommandRefused, ManagerError, PlanRefused
+from midstride.foreign.foreign_parameters import ForeignParameters
 from midstride.foreign.gates import Gates
 from midstride.foreign.node import ForeignNode
 from midstride.foreign.page import KnownSetting
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.reported_states import ReportedStates
+from midstride.foreign.services import ParameterAccess
 from midstride.lang.load import load, load_text
 from midstride.model.component import ComponentSpec
 from midstride.model.specification_checks import check, errors
@@ -321,3 +324,50 @@ def test_a_noted_request_that_cannot_be_read_hides_no_other_one(tmp_path: Path) 
         node.note_settings()  # it is looked at once
         assert not node._all_settings  # what the unreadable one has set is not known
     assert set(node.settings) == {"gain", "speed"}
+
+
+class Offered:
+    """The services of a node that offers them once it is ``offers``."""
+
+    offers = False
+
+    def offers_parameters(self) -> bool:
+        return self.offers
+
+    async def parameters(self, timeout: float) -> dict[str, Any]:
+        return {"gain": 2}
+
+
+def test_a_node_without_parameter_services_is_waited_for_once(tmp_path: Path) -> None:
+    """A hand-over asks for its parameters several times, and each would last a second longer."""
+    component = load_text(text()).require().components["Driver"]
+    declaration = NamedComponentForm.of(component)
+    record = ForeignRecord(
+        instance="driver",
+        node="/driver",
+        token="",
+        uuid="",
+        pid=0,
+        started=0,
+        declaration=declaration,
+        index=None,
+        topics={},
+        modes={},
+    )
+    node, services = ForeignNode(record, tmp_path, None, ReportedStates()), Offered()
+    parameters = ForeignParameters(node, cast(ParameterAccess, services))
+
+    async def body() -> None:
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        await asyncio.gather(parameters.read(), parameters.read())
+        waited = loop.time() - begun
+        assert (node.unread_parameters, round(waited, 1)) == (True, 1.0)
+        begun = loop.time()
+        await parameters.read()
+        assert (node.unread_parameters, loop.time()) == (True, begun)
+        services.offers = True
+        await parameters.read()
+        assert (node.unread_parameters, node.parameters) == (False, {"gain": 2})
+
+    run(body())

@@ -16,7 +16,8 @@ from midstride.foreign import gated_agent as agent_module
 from midstride.foreign import graph_check
 from midstride.foreign.gated_agent import ForeignAgent
 from midstride.foreign.gates import Gates
-from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint
+from midstride.foreign.graph_check import DeclaredEndpoints, GraphEndpoint, Served
+from midstride.foreign.lifecycle_managers import LifecycleManagers
 from midstride.foreign.page import Page
 from midstride.foreign.record import ForeignRecord
 from midstride.foreign.services import NoAnswer
@@ -170,6 +171,9 @@ class Services:
             raise NoAnswer("no answer")
         return {}
 
+    def offers_parameters(self) -> bool:
+        return True
+
     def settings_in(self, request: bytes) -> dict[str, Any]:
         return {}
 
@@ -310,3 +314,35 @@ def test_a_node_without_ports_registers_once_the_graph_shows_it_or_after_a_time(
             await agent.close()
 
     asyncio.run(scenario())
+
+
+def test_a_node_that_runs_is_known_to_be_no_lifecycle_node_by_what_its_library_or_the_graph_shows(
+    tmp_path: Path, gate_library: Path, component: ComponentSpec, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else what replaces it would wait for its lifecycle state, for two seconds, before it starts to take over."""
+    page = Page(tmp_path / "page", gate_library)
+    index = page.allocate("node")
+    gates = Gates(page, index, component)
+    gates.prepare(TOPICS)
+    managers, shown, served, seen = LifecycleManagers(lambda _: None), [OUT], Served(), set[str]()
+    monkeypatch.setattr(Gates, "seen_services", lambda *_: seen)
+    record = recorded(component, index, welcomed=True)
+    agent = ForeignAgent(record, tmp_path, gates, graph=lambda: shown, served=lambda: served, managers=managers)
+    managers.starting["node"] = "node"
+    assert not agent.has_no_lifecycle(), "it may still make its services"
+    seen.add("/node/get_parameters")
+    assert not agent.has_no_lifecycle(), "it has not made its endpoints"
+    for port in ("in", "out"):
+        gates.entry(port).endpoints = 1
+    assert agent.has_no_lifecycle()
+    seen.add("/node/get_state")
+    assert not agent.has_no_lifecycle()
+    seen.clear()
+    assert not agent.has_no_lifecycle(), "a library that sees no services, as with Humble, tells nothing"
+    managers.starting.clear()
+    assert agent.has_no_lifecycle(), "the graph shows nothing new of it"
+    served = Served(has_lifecycle=True)
+    assert not agent.has_no_lifecycle()
+    served = Served()
+    shown.clear()
+    assert not agent.has_no_lifecycle(), "the graph does not show it"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from typing import Any, Final, Protocol
 
@@ -14,6 +15,8 @@ from midstride.wire import commands, replies
 
 # How long the node may take to say the values of its parameters (s).
 READ_TIMEOUT: Final = 1.0
+# How often it looks whether the node offers the services for that (s).
+LOOK: Final = 0.02
 # How long one that has not said whether it has set its parameters may take to have them back (s).
 TAKE_BACK_TIMEOUT: Final = 0.5
 # Parameters that ROS 2 itself declares, and that cannot be set.
@@ -63,17 +66,29 @@ class ForeignParameters:
     def __init__(self, node: ParameterHolder, services: ParameterAccess) -> None:
         self._node = node
         self._services = services
+        self._offered_by: float | None = None  # until when it may begin to offer the services, by the loop's clock
 
     async def read(self) -> None:
-        """Have the state show them, or that the node does not answer."""
+        """Have the state show them, or that the node does not answer.
+
+        One without the services is waited for once, READ_TIMEOUT from the first time: it may be about to offer them.
+        """
+        node, clock = self._node, asyncio.get_running_loop().time
+        deadline = clock() + READ_TIMEOUT
+        self._offered_by = self._offered_by or deadline
+        while not self._services.offers_parameters():
+            if clock() >= self._offered_by:
+                node.unread_parameters = True
+                return
+            await asyncio.sleep(LOOK)
         try:
-            found = await self._services.parameters(READ_TIMEOUT)
+            found = await self._services.parameters(deadline - clock())
         except NoAnswer:
-            self._node.unread_parameters = True
+            node.unread_parameters = True
             return
-        self._node.unread_parameters = False
+        node.unread_parameters = False
         values = {name: value for name, value in found.items() if not name.startswith(_OF_ROS)}
-        record = self._node.record
+        record = node.record
         # What the program itself has chosen is not known before; and one that is no lifecycle node, which has answered
         # before it was complete, may declare more.
         late = {} if self._node.component.has_lifecycle else values

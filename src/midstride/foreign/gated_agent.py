@@ -328,6 +328,20 @@ class ForeignAgent:
             own = NodeLifecycle(record.instance, self._services, startup, activate)
             await own.reach(state, own.services_timeout)
 
+    def has_no_lifecycle(self) -> bool:
+        """Return whether the node, which runs, is certainly no lifecycle node; such a one has its services first.
+
+        It has made its endpoints, and its library has seen no such service; or the graph shows nothing new of it.
+        """
+        gates = self.node.gates
+        if gates is not None and self.node.record.welcomed and gates.component.ports() and not gates.missing():
+            seen = gates.seen_services(self.node.record.process_index)
+            if seen:
+                return f"{self.node.record.node}/get_state" not in seen
+        if self._graph is None or self._served is None or self._managers is None or self._graph_watch.may_show_more():
+            return False
+        return bool(self._graph()) and not self._served().has_lifecycle
+
     async def _heartbeat(self) -> None:
         """Report twice a second, and soon after a baton has moved, which the nodes do without a command.
 

@@ -269,6 +269,14 @@ class Gates:
         """The requests to set parameters that this node has taken, in their order. Raises BackendError."""
         return self.page.settings(self.index)
 
+    def seen_services(self, process: int | None = None) -> set[str]:
+        """The services, by full name, that the library has seen of this node, and of the node ``process`` (index).
+
+        None at all: it may see none, as that of ROS 2 Humble.
+        """
+        indices = {self.index, self.index if process is None else process}
+        return {name for index in indices for name in self.page.servers(index)}
+
     def taken(self, service: str) -> int | None:
         """How many requests to the service of that full name this node has taken; None if it has no such.
 

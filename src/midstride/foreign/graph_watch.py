@@ -65,10 +65,10 @@ class GraphWatch:
         """Look now and then whether the node still has what is declared: it may create endpoints at any time."""
         while self._graph is not None or self._served is not None:
             await self._look_at_graph()
-            later = LOOK if self._may_show_more() else GRAPH_LOOK
+            later = LOOK if self.may_show_more() else GRAPH_LOOK
             await asyncio.sleep(later if self._node.looked else FIRST_LOOK)
 
-    def _may_show_more(self) -> bool:
+    def may_show_more(self) -> bool:
         """Return whether the node started so recently that it may still create endpoints, services and clients."""
         return self._managers is not None and self._node.record.instance in self._managers.starting
 
@@ -87,7 +87,7 @@ class GraphWatch:
         Other processes may see a change of the graph sooner than this one.
         """
         since = asyncio.get_running_loop().time() - self._shown_since
-        return not self._may_show_more() or (self._node.looked and since >= FIRST_LOOK)
+        return not self.may_show_more() or (self._node.looked and since >= FIRST_LOOK)
 
     async def _look_at_graph(self) -> None:
         """Note what it shows of the node. What it has not shown for long enough, it never will, as without ROS."""
@@ -144,7 +144,7 @@ class GraphWatch:
 
     def _note_news(self, shown: object, *, nothing: bool, never: bool) -> None:
         """Note whether the node may still create anything, by what the graph has ``shown`` of it now."""
-        if (managers := self._managers) is None or not self._may_show_more():
+        if (managers := self._managers) is None or not self.may_show_more():
             return
         now = asyncio.get_running_loop().time()
         if shown != self._shown:

@@ -29,6 +29,9 @@ class ParameterAccess(ParameterSetter, Protocol):
     async def parameters(self, timeout: float) -> dict[str, Any]:
         """The values of all parameters that have one, said in ``timeout`` (s). Raises NoAnswer."""
 
+    def offers_parameters(self) -> bool:
+        """Return whether the node can be asked for its parameters now, as far as can be seen."""
+
 
 class StateAccess(Protocol):
     """Exports and imports the state of a node that offers it (docs/protocols/foreign-state.md)."""

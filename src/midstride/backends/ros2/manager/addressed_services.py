@@ -36,11 +36,20 @@ class AddressedServices(RosNodeServices):
     def _is_ambiguous(self) -> bool:
         return not self._page.servers(self._index) and super()._is_ambiguous
 
+    def _is_in_page(self, service: str) -> bool:
+        return f"{self._name}/{service}" in self._page.servers(self._index)
+
+    def _asks_by_ros(self, type_: Any, service: str) -> bool:
+        return self._alone and self._offers(type_, service) and not super()._is_ambiguous
+
+    def _is_offered(self, type_: Any, service: str) -> bool:
+        return self._is_in_page(service) or self._asks_by_ros(type_, service)
+
     async def _response(self, type_: Any, service: str, timeout: float, request: Any, lost: Lost | None) -> Any:
         loop, name = asyncio.get_running_loop(), f"{self._name}/{service}"
         deadline = loop.time() + timeout
-        while name not in self._page.servers(self._index):
-            if self._alone and self._offers(type_, service) and not super()._is_ambiguous:
+        while not self._is_in_page(service):
+            if self._asks_by_ros(type_, service):
                 return await super()._response(type_, service, deadline - loop.time(), request, lost)
             if loop.time() >= deadline:
                 raise NoAnswer(f"it has offered no service {name} within {timeout:g} s")

@@ -49,6 +49,8 @@ class UnloadUnanswered(BackendError):
 class ContainerServices(RosNodeServices):
     """The services of the container with the full name ``name``, called from the manager's loop without a thread."""
 
+    _reading = RosNodeServices._reading | {_LIST}
+
     async def load(self, request: LoadRequest, timeout: float) -> None:
         """Have the node loaded within ``timeout`` (s). Raises BackendError: it is not; LoadUnanswered: it may be.
 

@@ -567,7 +567,7 @@ class ForeignNodes:
             self._reported,
             served=None if (served := self._served) is None else lambda: self._served_now(served, record),
             before=before or (),
-            predecessor=self._services_of_predecessor(record, old) if follows else None,
+            predecessor=self._lifecycle_of_predecessor(record, old) if follows else None,
             managers=self._managers,
             states=self._states,
             requests=requests,
@@ -582,9 +582,10 @@ class ForeignNodes:
             return self._services(record.node)
         return self._addressed(record.node, self._page, record.index, record.node != record.predecessor)
 
-    def _services_of_predecessor(self, record: ForeignRecord, old: ForeignAgent | None) -> NodeServices | None:
+    def _lifecycle_of_predecessor(self, record: ForeignRecord, old: ForeignAgent | None) -> NodeServices | None:
+        """The services of the node that is replaced; None of one that is no lifecycle node, and says no state."""
         if old is not None:
-            return self._services_to(old.node.record)
+            return None if old.has_no_lifecycle() else self._services_to(old.node.record)
         return self._services(record.predecessor) if record.predecessor else None
 
     async def finish(self, instance: str) -> None:

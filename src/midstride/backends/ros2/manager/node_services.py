@@ -24,8 +24,10 @@ from midstride.model.instance_names import split_name
 # How often it looks for a service, or for an answer (s).
 INTERVAL: Final = 0.002
 # After how long without an answer a request is sent again (s): discovery may have shown a server whose process had just
-# ended, or the new one before it could answer.
+# ended, or the new one before it could answer. A request that changes nothing is sent again sooner at first, and each
+# time after twice as long.
 AGAIN: Final = 1.0
+SOON: Final = 0.1
 Lost: TypeAlias = Callable[[], Awaitable[bool]]
 _SETTING: Final = (parameter_srv.SetParametersAtomically, "set_parameters_atomically")
 LIFECYCLE: Final = ("get_state", "change_state")
@@ -57,6 +59,9 @@ class RosNodeServices:
     No executor takes the responses: they are taken here, as soon as the middleware has them. The manager's ``node`` is
     not spun; of one that is, ``group`` keeps the executor away, and clients are made by :meth:`connect`.
     """
+
+    # The services that change nothing: they may be asked twice.
+    _reading: frozenset[str] = frozenset({LIFECYCLE[0], *PARAMETERS})
 
     def __init__(self, node: Any, name: str, group: Any = None) -> None:
         self._node = node
@@ -111,6 +116,16 @@ class RosNodeServices:
             values = await self._values(names, timeout)
         found = {name: as_json(parameter_value_to_python(value)) for name, value in zip(names, values, strict=False)}
         return {name: value for name, value in found.items() if value is not None}
+
+    def offers_parameters(self) -> bool:
+        try:
+            return self._is_offered(parameter_srv.ListParameters, "list_parameters")
+        except RuntimeError:  # as in _call
+            return False
+
+    def _is_offered(self, type_: Any, service: str) -> bool:
+        """Return whether a request would be sent now, and not wait for the service."""
+        return self._offers(type_, service)
 
     async def _values(self, names: Sequence[str], timeout: float) -> list[Any]:
         request = parameter_srv.GetParameters.Request(names=names)
@@ -187,11 +202,13 @@ class RosNodeServices:
         client = self._clients[service]
         answered: asyncio.Future[Any] = loop.create_future()
         waiting, sent = self._waiting.setdefault(service, {}), -math.inf
+        again = SOON if lost is None and service in self._reading else AGAIN
         try:
             while not answered.done():
                 if loop.time() >= deadline:
                     raise NoAnswer(f"{name} has not answered within {timeout:.3g} s", sent=sent > 0)
-                if loop.time() >= sent + AGAIN and (sent < 0 or lost is None or await lost()):
+                if loop.time() >= sent + again and (sent < 0 or lost is None or await lost()):
+                    again = again if sent < 0 else min(AGAIN, 2 * again)
                     with client.handle:
                         waiting[client.handle.send_request(request or type_.Request())] = answered
                     sent = loop.time()
