@@ -16,7 +16,7 @@ from midstride.errors import CallTimeout, Unreachable
 from midstride.node import accepted_goals
 from midstride.node.accepted_goals import Goals
 from midstride.node.control.service_answering import FOLLOW_INTERVAL, PASS_INTERVAL, RESULTS_ATTEMPTS, Answering
-from midstride.node.request_admission import HOLD, RequestAdmission, Turn
+from midstride.node.request_admission import HOLD, GoalTurn, RequestAdmission
 from midstride.wire.commands import (
     AnswerCommand,
     CancelledGoalsCommand,
@@ -73,7 +73,7 @@ class Instance:
 
     def asks(self, request: str, goal: str) -> None:
         """Receive the request for the result of ``goal``."""
-        if self.admission.turn(request, goal, partial(self.asks, request, goal)) is not Turn.ANSWER:
+        if self.admission.goal_turn(request, goal, partial(self.asks, request, goal)) is not GoalTurn.ANSWER:
             return
         goals = self.admission.goals
         if goal not in goals._own:
@@ -91,12 +91,12 @@ class Instance:
 
     def cancels_all(self, request: str) -> None:
         """Receive a request to cancel all goals; what is cancelled is listed, not done."""
-        turn, goals = self.admission.turn(request, "", partial(self.cancels_all, request)), self.admission.goals
-        if turn is Turn.ADD:
+        turn, goals = self.admission.goal_turn(request, "", partial(self.cancels_all, request)), self.admission.goals
+        if turn is GoalTurn.ADD:
             goals.add_list(request, self.name.encode())
-        elif turn is Turn.ANSWER and self.admission.predecessor_has_goals:
+        elif turn is GoalTurn.ANSWER and self.admission.predecessor_has_goals:
             goals.await_list(request, lambda added: self._answer(request, f"{self.name} and {(added or b'').decode()}"))
-        elif turn is Turn.ANSWER:
+        elif turn is GoalTurn.ANSWER:
             self._answer(request, self.name)
         self.admission.finished(request)
 
@@ -391,7 +391,7 @@ def test_a_goal_that_is_just_being_accepted_stays_with_the_old_instance() -> Non
     assert admission.admit("goal 1", lambda: None, asks_for="1")
     admission.close()
     assert admission.give_goals() == ["1"]
-    assert admission.turn("cancel 1", "1", lambda: None) is Turn.ANSWER
+    assert admission.goal_turn("cancel 1", "1", lambda: None) is GoalTurn.ANSWER
     assert admission.goals.accepted("1", lambda: None), "it is in progress here, although it was given before"
     assert admission.goals.in_progress == 1
     assert not admission.goals.accepted("1", lambda: None), "the same UUID once more"
@@ -405,9 +405,9 @@ def test_what_ros_has_discarded_is_still_answered_for_where_the_successor_leaves
     admission.close()
     assert admission.give_goals() == ["1"]
     admission.goals.expired("1")
-    assert admission.turn("result 1", "1", lambda: None) is Turn.ANSWER
+    assert admission.goal_turn("result 1", "1", lambda: None) is GoalTurn.ANSWER
     assert admission.goals.hand_over() == {}
-    assert admission.turn("result 1", "1", lambda: None) is Turn.WAIT
+    assert admission.goal_turn("result 1", "1", lambda: None) is GoalTurn.WAIT
 
 
 def test_the_results_of_a_server_that_has_left_the_graph_are_answered_by_the_next_one() -> None:
@@ -434,7 +434,7 @@ def test_the_results_of_a_server_that_has_left_the_graph_are_answered_by_the_nex
 def test_requests_of_two_clients_about_goals_may_look_the_same() -> None:
     """The identity of a client is not in what rclpy passes: each of these is answered."""
     admission = RequestAdmission(lambda: 0)
-    assert [admission.turn("cancel all 1", "", lambda: None) for _ in range(2)] == [Turn.ANSWER] * 2
+    assert [admission.goal_turn("cancel all 1", "", lambda: None) for _ in range(2)] == [GoalTurn.ANSWER] * 2
 
 
 def test_a_request_that_looks_like_another_clients_handled_before_is_handled_all_the_same() -> None:
@@ -447,9 +447,9 @@ def test_a_request_that_looks_like_another_clients_handled_before_is_handled_all
         new = RequestAdmission(lambda: int(time * 1e9), is_open=False)
         for time in sorted({*by_old, *by_new}):
             if time in by_old:
-                assert old.turn("cancel all 1", "", lambda: None) is Turn.ANSWER
+                assert old.goal_turn("cancel all 1", "", lambda: None) is GoalTurn.ANSWER
             if time in by_new:
-                assert new.turn("cancel all 1", "", partial(called.append, time)) is Turn.WAIT
+                assert new.goal_turn("cancel all 1", "", partial(called.append, time)) is GoalTurn.WAIT
         time = max(*by_old, *by_new) + 0.1
         new.open(old.close())
         return len(called)
@@ -466,18 +466,18 @@ def test_what_waits_while_state_moves_is_asked_again_once_it_has() -> None:
     admission = RequestAdmission(lambda: 0)
     admission.goals.accepted("1", lambda: None)
     admission.pause()
-    assert admission.turn("cancel 1", "1", lambda: None) is Turn.ANSWER, "the goal does not move"
-    assert admission.turn("cancel all", "", lambda: called.append("all")) is Turn.WAIT
+    assert admission.goal_turn("cancel 1", "1", lambda: None) is GoalTurn.ANSWER, "the goal does not move"
+    assert admission.goal_turn("cancel all", "", lambda: called.append("all")) is GoalTurn.WAIT
     admission.leave()
     assert called == ["all"]
-    assert admission.turn("cancel all", "", lambda: None) is Turn.ADD
+    assert admission.goal_turn("cancel all", "", lambda: None) is GoalTurn.ADD
 
 
 def test_what_is_held_about_goals_is_dropped_after_a_while() -> None:
     time = 0.0
     called: list[str] = []
     admission = RequestAdmission(lambda: int(time * 1e9), is_open=False)
-    assert admission.turn("result 1", "1", lambda: called.append("1")) is Turn.WAIT
+    assert admission.goal_turn("result 1", "1", lambda: called.append("1")) is GoalTurn.WAIT
     time = HOLD + 1
     admission.open([])
     assert called == []

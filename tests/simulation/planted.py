@@ -18,7 +18,7 @@ from midstride.node.control import component_agent
 from midstride.node.control.component_end import ComponentEnd
 from midstride.node.control.service_answering import Answering
 from midstride.node.handover import cut, cut_protocol
-from midstride.node.request_admission import RequestAdmission, Turn
+from midstride.node.request_admission import GoalTurn, RequestAdmission
 from midstride.runtime.change import executor, reconciler, roll_back
 from midstride.runtime.handover import live_handover
 from midstride.runtime.process import component_client, launcher
@@ -345,12 +345,12 @@ def _results_not_looked_for(patch: pytest.MonkeyPatch) -> None:
 
 def _cancelled_by_the_wrong_one(patch: pytest.MonkeyPatch) -> None:
     """The instance that answers goes ahead with a request to cancel a goal of the other one."""
-    turn = RequestAdmission.turn
+    turn = RequestAdmission.goal_turn
 
-    def whoever(self: Any, request: str, about: str, later: Any) -> Turn:
-        return Turn.ANSWER if request.startswith("cancel") and self.is_open else turn(self, request, about, later)
+    def whoever(self: Any, request: str, about: str, later: Any) -> GoalTurn:
+        return GoalTurn.ANSWER if request.startswith("cancel") and self.is_open else turn(self, request, about, later)
 
-    plant(patch, RequestAdmission, "turn", whoever)
+    plant(patch, RequestAdmission, "goal_turn", whoever)
 
 
 # Each with words of the violation by which it is found.

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final, Literal, Protocol, TypeAlias
 
-from midstride.node.request_admission import RequestAdmission, Turn
+from midstride.node.request_admission import GoalTurn, RequestAdmission
 
 # What stands for several goals, in a request to cancel them.
 MANY: Final = ""
@@ -86,19 +86,19 @@ class AdmittedGoals:
             if self.admission.admit(identity, lambda: self.later(accept), asks_for=goal, service=timed):
                 await accept()
             return
-        match self.admission.turn(identity, goal, lambda: self.later(partial(self.handle, request))):
-            case Turn.WAIT:
+        match self.admission.goal_turn(identity, goal, lambda: self.later(partial(self.handle, request))):
+            case GoalTurn.WAIT:
                 return
-            case Turn.ADD:
+            case GoalTurn.ADD:
                 await self.server.cancel(
                     request.entry, lambda response: goals.add_list(identity, self.server.serialized(response))
                 )
-            case Turn.ANSWER if request.kind == "result":
+            case GoalTurn.ANSWER if request.kind == "result":
                 await self._give_result(request)
-            case Turn.ANSWER if goal == MANY and self.admission.predecessor_has_goals:
+            case GoalTurn.ANSWER if goal == MANY and self.admission.predecessor_has_goals:
                 answer = partial(self._cancel, request)
                 goals.await_list(identity, lambda added: self.later(partial(answer, added)))
-            case Turn.ANSWER:
+            case GoalTurn.ANSWER:
                 await self._cancel(request, None)
 
     def left(self) -> None:

@@ -67,7 +67,7 @@ class PassableRequest:
 PassedHandler: TypeAlias = Callable[[str, bytes, "Callable[[bytes | None], object]"], None]
 
 
-class Turn(Enum):
+class GoalTurn(Enum):
     """The turn of an instance with a request about goals, by the rule of ``turn_of`` in foreign/gate/goals.h.
 
     ADD: it cancels its own goals, and leaves the list of them for the instance that answers.
@@ -267,7 +267,7 @@ class RequestAdmission:
         finally:
             self.finished(request)
 
-    def turn(self, request: str, about: str, later: Callable[[], object]) -> Turn:
+    def goal_turn(self, request: str, about: str, later: Callable[[], object]) -> GoalTurn:
         """Whose turn it is with a request about the goal ``about``, or, where that is empty, to cancel many goals.
 
         Where this instance waits, ``later`` is called once it may be its turn; it then asks again. ``request``
@@ -279,19 +279,19 @@ class RequestAdmission:
             came = f"{request}{_CAME}{now}"
             if about and self.goals.has(about):
                 self.goals.asked(about, came)
-                return Turn.ANSWER
+                return GoalTurn.ANSWER
             if about in self._left:
                 self._left[about].append(_Held(request, now, later, about=about))
-                return Turn.WAIT
+                return GoalTurn.WAIT
             if self.is_open:
                 self._handled[came] = now
                 self._unfinished[request] = None
-                return Turn.ANSWER
+                return GoalTurn.ANSWER
             if not (about or self._paused) and self.goals.has_any:
-                return Turn.ADD
+                return GoalTurn.ADD
             self._held[f"{request} {next(self._names)}"] = _Held(request, now, later, about=about)
             self._forget_old(now)
-            return Turn.WAIT
+            return GoalTurn.WAIT
 
     @property
     def predecessor_has_goals(self) -> bool:
