@@ -221,14 +221,39 @@ def test_a_server_is_handed_over_between_components_with_the_api_and_nodes_with_
     require_arbiters(plan)
 
 
-def test_a_ros_action_is_not_handed_over_between_the_api_and_the_library() -> None:
+@pytest.mark.parametrize(
+    ("gate", "other", "advice"),
+    [
+        ("preload", "", "so both would execute each goal; use `gate relay` for Docking, or `--strategy paper`"),
+        ("none", "", "while both run; use `gate relay` for Docking, or `--strategy paper`"),
+        ("none", " gate relay", "while both run; use `gate relay` for Docking, or `--strategy paper`"),
+        ("none", " gate preload", "while both run; use `gate preload`, or `--strategy paper`"),
+    ],
+)
+def test_a_ros_action_is_not_handed_over_between_the_api_and_what_is_not_relayed(
+    gate: str, other: str, advice: str
+) -> None:
+    """What is advised is not refused."""
+    system = TEXT.replace("  client map : nav_msgs/srv/GetMap responds within 0.1 s\n", "")
+    system = system.replace("    uses map\n", "").replace("assume map  ", "")
+    system = system.replace("Docking { map <- /map  dock", "Docking { dock")
+
+    def plan_of(gate: str) -> Plan:
+        text = system.replace('run "docking" gate preload', f'run "docking" gate {gate}')
+        specification = load_text(text + f'component Own like Docking {{ run "own"{other} }}\n').require()
+        request = PlanRequest(replace=(("docking", "Own"),))
+        return planner()(requested_change(initial(specification), specification, request, request.target(specification)))
+
+    with pytest.raises(PlanRefused, match=advice):
+        require_arbiters(plan_of(gate))
+    require_arbiters(plan_of("preload" if "preload`, or" in advice else "relay"))
+
+
+def test_a_relay_is_not_advised_for_a_server_of_an_action_that_has_a_client() -> None:
     specification = load_text(TEXT + 'component Own like Docking { run "own" }\n').require()
     request = PlanRequest(replace=(("docking", "Own"),))
     plan = planner()(requested_change(initial(specification), specification, request, request.target(specification)))
-    refused = (
-        "docking has `gate preload`, and the other one has not, so both would execute each goal; use `gate relay` for"
-    )
-    with pytest.raises(PlanRefused, match=refused):
+    with pytest.raises(PlanRefused, match="so both would execute each goal; use `--strategy paper`"):
         require_arbiters(plan)
 
 

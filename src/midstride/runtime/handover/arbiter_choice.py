@@ -68,19 +68,29 @@ def require_answering(configuration: Configuration, swap: Swap) -> None:
     old, new = swap.old.instance, swap.new.instance
     components = {name: configuration.component(name) for name in (old, new)}
     words = f"{old} cannot hand over {swap.connector} to {new}"
+    between_kinds = any(each.has_agent for each in components.values())
+    is_action = components[old].kind_of(swap.old.port) == "action"
     decided = (name for name, each in components.items() if not (each.has_agent or each.loads_library))
     if (loose := next(decided, None)) is not None:
         how = f"{loose} has `gate {components[loose].gate}`, so both would answer requests while both run"
-        raise StepFailed(f"{words}: {how}; use `gate preload`, or `--strategy paper`")
+        way = _relay(components[loose]) if is_action and between_kinds else "`gate preload`, or "
+        raise StepFailed(f"{words}: {how}; use {way}`--strategy paper`")
     inside = {name for name, each in components.items() if each.loads_library}
-    if len(inside) == 1 and components[old].kind_of(swap.old.port) == "action":
+    if len(inside) == 1 and is_action:
         (plain,) = inside
         how = f"{plain} has `gate {components[plain].gate}`, and the other one has not, so both would execute each goal"
-        raise StepFailed(f"{words}: {how}; use `gate relay` for {plain}, or `--strategy paper`")
+        raise StepFailed(f"{words}: {how}; use {_relay(components[plain])}`--strategy paper`")
     if configuration.instances[old].role != configuration.instances[new].role:
         roles = " and ".join(configuration.instances[name].role for name in (old, new))
         how = f"they are instances of different nodes ({roles}), and only those of one node share its requests"
         raise StepFailed(f"{words}: {how}; use `--strategy paper`")
+
+
+def _relay(component: ComponentSpec) -> str:
+    """The advice to run the program of ``component`` behind a relay; none where that is refused, as it has a client."""
+    if any(not component.has_output(port) for port in component.service_ports()):
+        return ""
+    return f"`gate relay` for {component.name}, or "
 
 
 def require_arbiters(plan: Plan) -> None:
