@@ -293,3 +293,38 @@ def test_one_serves_on_when_one_of_the_two_has_the_api_and_either_is_killed(
 
     with ended():
         run(scenario(), 1800)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("victim", ["old", "new"])
+def test_one_serves_on_when_either_is_killed_as_a_component_begins_to_share_its_requests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str
+) -> None:
+    """A component that has begun alone shares them once its successor is to answer, which is then asked again."""
+    killer = Killer(monkeypatch)
+
+    async def scenario() -> None:
+        ends = 0
+        async with failing(tmp_path, 0) as (system, calls):
+            for point in (("join_requests", "before"), ("join_requests", "after")):
+                ours = PlanRequest(replace=(("talker", "Ours"),))
+                for request in (ours, RESTART):  # the second one has not replaced a program with the library
+                    assert (await killer.change(system, None, request)).outcome == "done"
+                await served_by(system, calls)
+                report = await killer.change(system, (victim, *point), PlanRequest(replace=(("talker", "Talker"),)))
+                print(victim, point, report.outcome, report.because)
+                assert killer.has_killed
+                ends += victim == "old" or report.outcome == "done"
+                if not instances(system):
+                    await system.meanwhile(system.manager.change(RESTART))
+                await served_by(system, calls)
+                (name,) = instances(system)
+                if system.manager.configuration.component(name).name == "Ours":
+                    assert (
+                        await killer.change(system, None, PlanRequest(replace=(("talker", "Talker"),)))
+                    ).outcome == "done"
+        judge(calls, killer.killed, ends)
+
+    with ended():
+        run(scenario(), 600)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import cycle, islice
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from midstride.lang.load import load
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.foreign_support import declared_talker, robot
-from tests.acceptance.serving import Calls, called, calling, written, written_with_the_api
+from tests.acceptance.serving import COUNTING_OURS, Calls, called, calling, written, written_with_the_api
 from tests.acceptance.support import ended
 from tests.acceptance.test_manager_killed import calls_of_a_swap, kill_the_manager, manage
 from tests.backends.ros2_support import run, until
@@ -112,7 +112,50 @@ def written_for_a_manager_that_dies(folder: Path) -> Path:
     return path
 
 
-def killed_at(folder: Path, points: Sequence[tuple[str, str, str]] | None) -> None:
+# A component with the API, and a program with the library that replaces it.
+MIXED = """system serving
+topic /swap : std_msgs/msg/String @ 50 Hz
+contract Listing = rcl_interfaces/srv/ListParameters responds within 0.5 s
+service /count : Listing
+component Source {{
+  run "{python} {folder}/ours.py"
+  output out
+  server count
+  functionality talk {{
+    produces out
+    mode normal {{ guarantee out : std_msgs/msg/String @ 50 Hz }}
+    mode degraded {{ }}
+  }}
+  functionality counting {{ produces count  mode normal {{ guarantee count : Listing }}  mode off {{ }} }}
+}}
+component OtherSource {{
+  run "{python} {folder}/server.py" gate preload
+  output out as chatter
+  server count
+  functionality talk {{
+    produces out, count
+    mode normal {{ guarantee out : std_msgs/msg/String @ 50 Hz  guarantee count : Listing }}
+    mode degraded {{ }}
+  }}
+}}
+node source : Source {{ out -> /swap  count -> /count }}
+"""
+
+
+def written_with_both_kinds(folder: Path) -> Path:
+    """The same, where the component that is replaced uses the API."""
+    written(folder)
+    (folder / "ours.py").write_text(COUNTING_OURS)
+    path = folder / "killed.stride"
+    path.write_text(MIXED.format(python=sys.executable, folder=folder), encoding="utf-8")
+    return path
+
+
+def killed_at(
+    folder: Path,
+    points: Sequence[tuple[str, str, str]] | None,
+    write: Callable[[Path], Path] = written_for_a_manager_that_dies,
+) -> None:
     """Kill the manager at each of ``points`` of a replacement under 20 clients; None: at every one.
 
     One of the two then answers without a manager, and the next manager finds which.
@@ -121,7 +164,7 @@ def killed_at(folder: Path, points: Sequence[tuple[str, str, str]] | None) -> No
 
     async def main() -> None:
         system.mkdir()
-        specification = load(written_for_a_manager_that_dies(folder)).require()
+        specification = load(write(folder)).require()
         manager = Manager(specification, backends.make("ros2", Workspace(system)), Workspace(system), folder)
         await manager.up()
         await manager.close()
@@ -170,3 +213,13 @@ def test_one_answers_when_the_manager_is_killed_at_the_change_over(tmp_path: Pat
 @pytest.mark.timeout(3600)
 def test_one_answers_wherever_the_manager_is_killed(tmp_path: Path) -> None:
     killed_at(tmp_path, None)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("when", ["before", "after"])
+@pytest.mark.parametrize("op", ["join_requests", "answer"])
+def test_one_answers_when_the_manager_is_killed_as_a_component_begins_to_share_its_requests(
+    tmp_path: Path, op: str, when: str
+) -> None:
+    """The successor is asked to answer, then the component to share them, then the successor again."""
+    killed_at(tmp_path, [(op, "1" if op == "join_requests" else "2", when)], written_with_both_kinds)

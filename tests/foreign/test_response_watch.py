@@ -167,10 +167,11 @@ class Server:
 
 
 @contextmanager
-def server(lab: Lab, **environment: str) -> Iterator[Server]:
+def server(lab: Lab, of: int | None = None, **environment: str) -> Iterator[Server]:
+    """``of``: the index of the node that answers its requests; None: it does."""
     page = lab.page
     index = page.allocate("server")
-    page.have_requests(index)
+    page.have_requests(index, of)
     given = variables(page.path, lab.programs, lab.library, lab.log, index)
     process = subprocess.Popen(
         [lab.programs / "server", "/count"],

@@ -26,6 +26,7 @@ from midstride.node.shared_requests import RequestsSlot
 from midstride.wire.commands import JoinRequestsCommand
 from midstride.wire.replies import PagePlace
 from tests.foreign.lab import Lab, until, variables
+from tests.foreign.test_response_watch import server
 
 REQUESTS = 20_000
 # So many that the page knows of each, also if both note it: a process may get no time while the other claims all.
@@ -344,6 +345,27 @@ def test_a_component_and_a_node_change_places(lab: Lab) -> None:
         page.free(index)
         assert ask("answers"), "its part was taken back"
     assert share_requests(page, "component") == index, "its part is free"
+
+
+@pytest.mark.parametrize("way", ["its part is taken back", "the other one is to answer"])
+def test_what_was_held_when_a_component_died_that_had_noted_nothing_is_not_answered(lab: Lab, way: str) -> None:
+    """It may have answered each of them. What arrives later is answered."""
+    page = lab.page
+    index = share_requests(page, "component")
+    with server(lab, index) as served:
+        for _ in range(3):
+            served.does("take")
+        node, port = served.port.node - 1, served.port
+        until(lambda: port.gated == 3, "the requests are not held")
+        if way == "its part is taken back":
+            page.free(index)
+        else:
+            page.give_requests(node, 0.0)
+        page.ring(node)
+        until(lambda: port.gated == 0, "the requests are still held")
+        assert port.passed == 0
+        served.does("take")
+        assert port.passed == 1
 
 
 def test_with_a_node_that_has_ended_nothing_is_shared(lab: Lab) -> None:

@@ -242,7 +242,9 @@ def test_a_ros_action_is_not_handed_over_between_the_api_and_what_is_not_relayed
         text = system.replace('run "docking" gate preload', f'run "docking" gate {gate}')
         specification = load_text(text + f'component Own like Docking {{ run "own"{other} }}\n').require()
         request = PlanRequest(replace=(("docking", "Own"),))
-        return planner()(requested_change(initial(specification), specification, request, request.target(specification)))
+        return planner()(
+            requested_change(initial(specification), specification, request, request.target(specification))
+        )
 
     with pytest.raises(PlanRefused, match=advice):
         require_arbiters(plan_of(gate))

@@ -223,6 +223,7 @@ class Page:
 
     def free(self, index: int) -> None:
         number, baton = self.layout.nodes[index].requests, self.layout.nodes[index].unstated
+        self._lose_requests(index)
         self._library.midstride_free(self._address, index)
         if baton:
             self._leave_unstated(index, baton)
@@ -297,8 +298,19 @@ class Page:
 
     def give_requests(self, index: int, patience: float) -> None:
         """The node ``index`` is to answer from now on; the one before has ``patience`` (s) for what it has taken."""
+        if (other := self.answering(index)) is not None:
+            self._lose_requests(other)
         until = time.monotonic_ns() + int(patience * 1e9)
         self._step_requests(self.layout.nodes[index].requests, RequestsStep.GIVE, index, until)
+
+    def _lose_requests(self, index: int) -> None:
+        """Have no node answer what is held by now, if the node ``index`` answers and is a component that never joined.
+
+        That has noted nothing, so it may have answered each of them.
+        """
+        node = self.layout.nodes[index]
+        if node.requests and node.used & HAS_AGENT and not node.pid and self.answering(index) is None:
+            self._requests[node.requests - 1].lost = time.monotonic_ns()
 
     def pause_requests(self, index: int, longest: float) -> None:
         """No node of the role of the node ``index`` takes a request until they go on, for ``longest`` (s) at most."""

@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 18
+VERSION: Final = 19
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.
@@ -229,7 +229,8 @@ class PageRequests(ctypes.Structure):
         ("mixed", c_int64),
         ("shared", c_uint32),
         ("knows", c_uint32),
-        ("spare", c_uint32 * 6),
+        ("lost", c_int64),
+        ("spare", c_uint32 * 4),
         ("clients", PageClient * CLIENTS),
         ("goals", PageGoal * GOALS),
         ("added", PageAdded * ADDED),

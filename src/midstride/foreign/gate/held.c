@@ -111,6 +111,12 @@ static struct held *copied_to_add(struct held *held)
   return copy;
 }
 
+/* Whether a request may have been answered by a component that has died without a note of it. */
+static bool is_lost(struct requests *requests, const struct held *held)
+{
+  return !held->claimed && held->at < atomic_load(&requests->lost);
+}
+
 /* The first of the requests that are held which is this node's to take; NULL where there is none. */
 static struct held *due(struct entry *entry, struct requests *requests)
 {
@@ -123,11 +129,11 @@ static struct held *due(struct entry *entry, struct requests *requests)
     enum turn turn = held->claimed ? ANSWER : turn_with_held(requests, entry, held);
     if (held->claimed) {
       found = unlink_held(entry, place);
-    } else if (turn != ANSWER) {
+    } else if (turn != ANSWER && !is_lost(requests, held)) {
       if (turn == ADD && claim_request(requests, &held->info, true))
         found = copied_to_add(held);
       place = &held->next;
-    } else if (begin_request(requests, entry, &held->info, &held->subject, now_ns(), &held->taken)) {
+    } else if (!is_lost(requests, held) && begin_request(requests, entry, &held->info, &held->subject, now_ns(), &held->taken)) {
       found = unlink_held(entry, place);
     } else {
       held = unlink_held(entry, place);
@@ -196,7 +202,7 @@ static uint32_t look_at_held(struct entry *entry, struct requests *requests)
   uint64_t word = atomic_load(&requests->word);
   for (struct held **place = &entry->held; *place;) {
     struct held *held = *place;
-    if (!held->claimed && (is_over(requests, entry, held) || !claim_request(requests, &held->info, true))) {
+    if (!held->claimed && (is_lost(requests, held) || is_over(requests, entry, held) || !claim_request(requests, &held->info, true))) {
       free_held(unlink_held(entry, place));
       continue;
     }

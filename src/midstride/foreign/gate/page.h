@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 18 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 19 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
@@ -207,7 +207,9 @@ struct requests {
   _Atomic int64_t mixed;
   _Atomic uint32_t shared; /* whether two nodes have them */
   _Atomic uint32_t knows;  /* how many were put into `known`, in all */
-  uint32_t spare[6];
+  /* What a node has held since before then is not answered: a component has died that had noted nothing (CLOCK_MONOTONIC, ns). */
+  _Atomic int64_t lost;
+  uint32_t spare[4];
   struct client clients[CLIENTS];
   struct goal goals[GOALS];
   struct added added[ADDED];
