@@ -71,6 +71,7 @@ class ParameterTransfer:
     _found: dict[tuple[str, str], RuntimeValue] = field(default_factory=dict)
     # By instance: the values that it was started with.
     _given: dict[str, dict[str, Any]] = field(default_factory=dict)
+    _origins: dict[str, Mapping[str, Origin]] = field(default_factory=dict)  # of these, the unknown ones
 
     def __post_init__(self) -> None:
         replaced, stand_ins = self.change.replaced, self.change.stand_ins
@@ -117,7 +118,7 @@ class ParameterTransfer:
             return dict(self.reported.of(instance.name))
         old = self._predecessors.get(instance.name)
         values = self.reported.saved.get(instance.role, {}) if old is None else self.reported.of(old)
-        unknown = self._unknown(instance, values)
+        self._origins[instance.name] = unknown = self._unknown(instance, values)
         if old is not None:
             self._note_carried(old)
         self._given[instance.name] = given = self._kept(instance, values, unknown)
@@ -125,10 +126,13 @@ class ParameterTransfer:
         return {name: value for name, value in given.items() if value not in ([], ())}
 
     def _unknown(self, instance: Instance, values: Collection[str]) -> Mapping[str, Origin]:
-        """Of the ``values`` that ``instance`` starts with, those of unknown origin; after a crash, that is not kept."""
+        """Of the ``values`` that ``instance`` starts with, those of unknown origin; of an earlier manager's, all."""
         if (old := self._predecessors.get(instance.name)) is not None:
             return self.reported.unknown_of(old)
-        return dict.fromkeys(values, "unknown") if instance.component.gate is not None else {}
+        if instance.component.gate is None:
+            return {}
+        unknown = self.reported.unknown_after(instance.role)
+        return dict.fromkeys(values, "unknown") if unknown is None else unknown
 
     def _returns(self, instance: Instance) -> bool:
         """Return whether the instance ran at the start: it is started again, or goes on, in a roll-back."""
@@ -150,7 +154,7 @@ class ParameterTransfer:
         """Have a new instance accept the values that it was started with. Raises StepFailed with its reason."""
         old, given = self._predecessors.get(instance.name), self._given.get(instance.name, {})
         now = given if old is None else self.reported.of(old)
-        unknown = self._unknown(instance, given)
+        unknown = self._origins.get(instance.name, _NONE) if old is None else self.reported.unknown_of(old)
         for name, value in given.items():
             if name in now and same_value(now[name], value):
                 await self._set(instance, name, value, unknown)

@@ -24,6 +24,7 @@ class ReportedValues:
     _of_instance: dict[str, Values] = field(default_factory=dict)
     _put_back: dict[str, Values] = field(default_factory=dict)  # by role, until they are saved
     _unknown: dict[str, Mapping[str, Origin]] = field(default_factory=dict)  # by instance
+    _unknown_of_role: dict[str, Mapping[str, Origin]] = field(default_factory=dict)  # as of the values that are saved
     _set_at: dict[str, Mapping[str, float]] = field(default_factory=dict)  # by instance
 
     def report(self, state: ComponentState) -> bool:
@@ -56,6 +57,10 @@ class ReportedValues:
             if len(names) == 1
         }
 
+    def unknown_after(self, role: str) -> Mapping[str, Origin] | None:
+        """The unknown values of the last instance of a role that has reported; None where there has been none."""
+        return self._unknown_of_role.get(role)
+
     def by_role(self, configuration: Configuration) -> dict[str, Values]:
         """The values of each role: of its live instance, else those of the one that has exited."""
         live = {
@@ -71,6 +76,13 @@ class ReportedValues:
         changed = {role: values for role, values in now.items() if values != self.saved.get(role, _NONE)}
         self.saved = {role: values for role, values in now.items() if values}
         self._put_back.clear()
+        reported = {
+            role: self._unknown[name]
+            for role, names in configuration.instances_by_role.items()
+            if len(names) == 1 and (name := next(iter(names))) in self._unknown
+        }
+        unknown = {**self._unknown_of_role, **reported}
+        self._unknown_of_role = {role: names for role, names in unknown.items() if role in roles}
         return changed
 
     def put_back(self, instance: str, role: str, values: Values) -> None:
