@@ -1,7 +1,7 @@
 /* A node in a container: `fake_leaving NODE TOPIC SERVICE`. The node has that full name, a subscription of the topic, a server of
  * the service, and clients of it. For each line of its input it does what the line says, and writes the result of rcl:
  * `take` takes a message, `request` a request, `response` and `info` a response, by one function and the other, and `timer`
- * calls a timer that it has made in a callback. `begin` and `end` are what rclcpp says of a callback, `wait` waits, and
+ * calls a timer that it has made in a callback; `due` is how often that has been due, `calls` how often its callback was called. `begin` and `end` are what rclcpp says of a callback, `wait` waits, and
  * `again` removes a client, and makes another one, many times. */
 #define _GNU_SOURCE
 #include <stdbool.h>
@@ -28,6 +28,14 @@ int rcl_timer_call(void *);
 int rcl_wait(void *, int64_t);
 void ros_trace_callback_start(const void *, bool);
 void ros_trace_callback_end(const void *);
+
+static int calls;
+
+static void on_timer(void *timer, int64_t since)
+{
+  (void)timer, (void)since;
+  calls++;
+}
 
 /* Many clients come and go, as with nodes that are loaded and unloaded. */
 static void make_again(void *client, void *node, const char *service)
@@ -57,7 +65,7 @@ int main(int count, char **arguments)
   rcl_service_init(&server, &node, service_type, arguments[3], options);
   rcl_client_init(&client, &node, &message_type, arguments[3], NULL);
   rcl_take_response(&client, id, buffer);
-  rcl_timer_init(&timer, NULL, NULL, 0, NULL, (struct allocator){{NULL}});
+  rcl_timer_init(&timer, NULL, NULL, 0, on_timer, (struct allocator){{NULL}});
   rcl_wait(NULL, 1);
   puts("ready");
   fflush(stdout);
@@ -74,6 +82,10 @@ int main(int count, char **arguments)
       result = rcl_take_response_with_info(&client, info, buffer);
     else if (strcmp(line, "timer") == 0)
       result = rcl_timer_call(&timer);
+    else if (strcmp(line, "due") == 0)
+      result = timer;
+    else if (strcmp(line, "calls") == 0)
+      result = calls;
     else if (strcmp(line, "begin") == 0)
       ros_trace_callback_start(&node, false);
     else if (strcmp(line, "end") == 0)

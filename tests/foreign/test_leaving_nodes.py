@@ -12,7 +12,7 @@ from midstride.foreign.page_layout import INPUT, OPEN
 from tests.foreign.lab import Lab, until, variables
 
 TAKEN = 0
-# What rcl returns where there was no message, response or request, and where a timer is cancelled.
+# What rcl returns where there was no message, response or request, and where a timer calls nothing.
 NO_MESSAGE, NO_RESPONSE, NO_REQUEST, CANCELED = 401, 501, 601, 801
 CALLS = {
     "take": NO_MESSAGE,
@@ -86,6 +86,25 @@ def test_nothing_calls_a_node_that_its_container_has_unloaded(made: Container) -
     """Its container may destroy its timers, clients and servers later."""
     made.page.free(made.index)
     assert {call: made.does(call) for call in CALLS} == CALLS
+
+
+@pytest.mark.parametrize("linked", ["programs", "packaged_programs"])
+def test_a_timer_is_due_without_a_call_while_its_node_leaves(
+    lab: Lab, request: pytest.FixtureRequest, linked: str
+) -> None:
+    """Else the executor would find it ready at once; and it goes on by itself if the node stays after all."""
+    lab.programs = request.getfixturevalue(linked)
+    made = Container(lab)
+    try:
+        seen = [(made.does("timer"), made.does("due"), made.does("calls"))]
+        made.page.leaves(made.index, True)
+        seen += [(made.does("timer"), made.does("due"), made.does("calls")) for _ in range(2)]
+        made.page.leaves(made.index, False)
+        seen += [(made.does("timer"), made.does("due"), made.does("calls"))]
+    finally:
+        made.process.kill()
+        made.process.communicate()
+    assert seen == [(TAKEN, 1, 1), (CANCELED, 2, 1), (CANCELED, 3, 1), (TAKEN, 4, 2)]
 
 
 def test_a_request_is_held_until_the_node_stays_after_all(made: Container) -> None:

@@ -1,7 +1,7 @@
 /* What calls a node: so that nothing does any more once it is about to be unloaded.
  *
  * A container of rclcpp with several threads destroys a node in one of them while another may call it, which ends the
- * process with all nodes in it. So from the time that a node LEAVES, nothing of it is taken: its timers are cancelled,
+ * process with all nodes in it. So from the time that a node LEAVES, nothing of it is taken: its timers pass without a call,
  * messages and responses are dropped, and requests are held, in case it stays after all. And the page says how many threads
  * are in a call of it that has begun before.
  *
@@ -17,7 +17,6 @@
 static struct caller {
   _Atomic(const void *) what; /* NULL: never used; GONE: no longer */
   _Atomic unsigned me;        /* index + 1 of its node in the page */
-  bool cancelled;             /* a timer, since that node leaves. With `lock` */
 } callers[CALLERS];
 
 /* -- calls -------------------------------------------------------------------------------------------------------------- */
@@ -111,7 +110,6 @@ static void add_caller(const void *what, unsigned me)
   if (!place)
     return;
   atomic_store(&place->me, me);
-  place->cancelled = false;
   atomic_store_explicit(&place->what, what, memory_order_release);
 }
 
@@ -154,33 +152,29 @@ static int add_timer(const void *timer, int result)
   return result;
 }
 
-/* The timers of a node that does not leave after all call it again. With `lock`. */
-void resume_timers(void)
+/* Whether the timer may not call its node. */
+static bool must_pass(void *timer)
 {
-  for (unsigned index = 0; index < CALLERS; index++) {
-    unsigned me = atomic_load(&callers[index].me);
-    const void *what = atomic_load(&callers[index].what);
-    if (!what || what == GONE || !callers[index].cancelled || has_to_leave(me) || !(page->nodes[me - 1].used & IN_USE))
-      continue;
-    callers[index].cancelled = false;
-    real_rcl_timer_reset()((void *)what);
-  }
-}
-
-/* Whether the timer may not call its node. It is cancelled, since the executor would find it ready again and again. */
-static bool cancels(void *timer)
-{
-  struct caller *found = find_caller(timer);
-  unsigned me = found ? atomic_load(&found->me) : 0;
+  unsigned me = called_by(timer);
   end_input();
   begin_call(me);
-  if (!has_to_leave(me) || !real_rcl_timer_cancel() || !real_rcl_timer_reset())
-    return false;
+  return has_to_leave(me);
+}
+
+/* Its time passes without a call, else the executor would find it ready again and again. It is not cancelled: to have it go on
+ * later, by rcl_timer_reset, calls the executor, and that may wait for a thread that waits for `lock`. The callback of a timer
+ * in C is called within librcl, so it is taken out meanwhile; rclcpp and rclpy have none there. */
+static int pass(void *timer)
+{
+  int64_t info[2]; /* rcl_timer_call_info_t */
   pthread_mutex_lock(&lock);
-  found->cancelled = true;
-  real_rcl_timer_cancel()(timer);
+  void *callback = real_rcl_timer_exchange_callback() ? real_rcl_timer_exchange_callback()(timer, NULL) : NULL;
+  /* rcl_timer_call calls the other one, and this library may see that: not with `lock`. */
+  int result = real_rcl_timer_call_with_info() ? real_rcl_timer_call_with_info()(timer, info) : real_rcl_timer_call()(timer);
+  if (callback)
+    real_rcl_timer_exchange_callback()(timer, callback);
   pthread_mutex_unlock(&lock);
-  return true;
+  return result == 0 ? TIMER_CANCELED : result;
 }
 
 EXPORT int rcl_timer_init(void *timer, void *clock, void *context, int64_t period, void *callback, allocator memory)
@@ -209,12 +203,12 @@ static int timer_result(int result)
 
 EXPORT int rcl_timer_call(void *timer)
 {
-  return timer_result(cancels(timer) ? TIMER_CANCELED : real_rcl_timer_call()(timer));
+  return timer_result(must_pass(timer) ? pass(timer) : real_rcl_timer_call()(timer));
 }
 
 EXPORT int rcl_timer_call_with_info(void *timer, void *info)
 {
-  return timer_result(cancels(timer) ? TIMER_CANCELED : real_rcl_timer_call_with_info()(timer, info));
+  return timer_result(must_pass(timer) ? pass(timer) : real_rcl_timer_call_with_info()(timer, info));
 }
 
 /* -- clients -------------------------------------------------------------------------------------------------------------- */

@@ -246,8 +246,6 @@ void note_caller(const void *what, const void *owner);
 /* The same, as index + 1; 0: not known, or that as which the process was started. */
 unsigned called_by(const void *what);
 void forget_caller(const void *what);
-/* The timers of a node that is not unloaded after all call it again. With `lock`. */
-void resume_timers(void);
 
 /* -- what goes past the gate within the process (within.c) ------------------------------------------------------------- */
 

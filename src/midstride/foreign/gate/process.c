@@ -80,7 +80,6 @@ static void look(void)
 {
   take_asked();
   place_beyond();
-  resume_timers();
   for (unsigned index = 0; index < used_count; index++)
     used_ports[index].matched = used_ports[index].waiting = 0;
   for (struct table *table = &first_table; table; table = atomic_load(&table->next))
