@@ -159,6 +159,7 @@ async def _resolved(
 def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
     """All instances of each role but the one with the most open gates, which publishes; else the one that answers.
 
+    A server counts only as an answer: where topics have been handed over and requests have not, those are to follow.
     One that was fenced hangs, so its successor stays.
     """
     by_role: dict[str, list[str]] = {}
@@ -166,8 +167,10 @@ def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
         by_role.setdefault(instance.role, []).append(name)
 
     def rank(name: str) -> tuple[bool, int, bool, int, str]:
-        links = [link for topics in found[name][1].ports.values() for link in topics.values()]
-        fenced = bool(_fenced(found[name][1]))
+        instance, state = found[name]
+        outputs = (topics for port, topics in state.ports.items() if not instance.component.is_service(port))
+        links = [link for topics in outputs for link in topics.values()]
+        fenced = bool(_fenced(state))
         return fenced, -sum(link.gate == "open" for link in links), not found[name][1].answers, len(name), name
 
     return [name for names in by_role.values() for name in sorted(names, key=rank)[1:]]
