@@ -12,13 +12,14 @@ from immutables import Map
 from msgspec import structs
 
 from midstride.errors import BackendError, ProtocolError, Unreachable
+from midstride.lang.load import load_text
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.specification import Node, Specification
+from midstride.model.specification import Node, Specification, initial
 from midstride.runtime.backend_protocol import Handle, RemainingProcess
 from midstride.runtime.records.state_store import SavedInstance
 from midstride.runtime.restore.half_done import HalfDone
 from midstride.runtime.restore.half_done_values import HalfDoneValues
-from midstride.runtime.restore.recovery import recover
+from midstride.runtime.restore.recovery import _redundant, recover
 from midstride.wire.commands import (
     AnswerCommand,
     GateCommand,
@@ -27,7 +28,7 @@ from midstride.wire.commands import (
     ResolveCutsCommand,
     SetParametersCommand,
 )
-from midstride.wire.state import NOT_WELCOMED, LinkState
+from midstride.wire.state import NOT_WELCOMED, ComponentState, GateState, LinkState
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import REFUSED, TALKER, TIMEOUT, UNREACHABLE, Bench, bench, instance, reported, talking
@@ -41,6 +42,21 @@ SPECIFICATION = Specification(
     Map({kind.component.name: kind.component for kind in RUNNING.instances.values()}),
     Map({name: Node(name, found.component.name) for name, found in RUNNING.instances.items()}),
 )
+SERVING = """system serving
+topic /chat : std_msgs/msg/String @ 50 Hz
+service /count : rcl_interfaces/srv/ListParameters
+component Talker {
+  run "talker" gate preload
+  output out
+  server count
+  functionality talk {
+    produces out, count
+    mode normal { guarantee out : std_msgs/msg/String @ 50 Hz  guarantee count : rcl_interfaces/srv/ListParameters }
+    mode off { }
+  }
+}
+node talker : Talker { out -> /chat  count -> /count }
+"""
 # A manager that was killed during a hand-over has left both: one of them publishes.
 TWICE = RUNNING.with_instance(NEW).with_attachment(NEW_OUT, "/chatter")
 
@@ -269,6 +285,21 @@ def test_of_two_instances_without_outputs_the_one_that_answers_stays(answers: st
         assert await recovered(b) == b.configuration.without_instance(other)
 
     bench(configuration, tmp_path, body)
+
+
+def test_the_instance_that_publishes_stays_where_the_other_one_still_has_the_server() -> None:
+    """A manager was killed between the cut and the change of who answers."""
+    specification = load_text(SERVING).require()
+    (old,) = initial(specification).instances.values()
+    new = changed(old, name="talker_2")
+
+    def state(name: str, out: GateState, count: GateState) -> ComponentState:
+        found = reported(old, initial(specification), answers=name == "talker")
+        ports = {"out": {"/chat": LinkState(gate=out, count=0)}, "count": {"/count": LinkState(gate=count, count=0)}}
+        return structs.replace(found, instance=name, ports=ports)
+
+    found = {"talker": (old, state("talker", "closed", "open")), "talker_2": (new, state("talker_2", "open", "closed"))}
+    assert _redundant(found) == ["talker"]
 
 
 def test_of_two_instances_that_do_the_same_the_first_stays(tmp_path: Path) -> None:
