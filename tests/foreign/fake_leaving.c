@@ -1,8 +1,9 @@
 /* A node in a container: `fake_leaving NODE TOPIC SERVICE`. The node has that full name, a subscription of the topic, a server of
  * the service, and clients of it. For each line of its input it does what the line says, and writes the result of rcl:
  * `take` takes a message, `request` a request, `response` and `info` a response, by one function and the other, and `timer`
- * calls a timer that it has made in a callback; `due` is how often that has been due, `calls` how often its callback was called. `begin` and `end` are what rclcpp says of a callback, `wait` waits, and
- * `again` removes a client, and makes another one, many times. */
+ * calls a timer that it has made in a callback; `due` is how often that has been due, `calls` how often its callback was
+ * called. `over` ends the node, and not its server, as rclpy does. `begin` and `end` are what rclcpp says of a callback,
+ * `wait` waits, and `again` removes a client, and makes another one, many times. */
 #define _GNU_SOURCE
 #include <stdbool.h>
 #include <stdint.h>
@@ -26,6 +27,7 @@ int rcl_take_response_with_info(const void *, void *, void *);
 int rcl_timer_init(int *, void *, void *, int64_t, void *, struct allocator);
 int rcl_timer_call(void *);
 int rcl_wait(void *, int64_t);
+int rcl_node_fini(void *);
 void ros_trace_callback_start(const void *, bool);
 void ros_trace_callback_end(const void *);
 
@@ -86,6 +88,8 @@ int main(int count, char **arguments)
       result = timer;
     else if (strcmp(line, "calls") == 0)
       result = calls;
+    else if (strcmp(line, "over") == 0)
+      result = rcl_node_fini(&node);
     else if (strcmp(line, "begin") == 0)
       ros_trace_callback_start(&node, false);
     else if (strcmp(line, "end") == 0)

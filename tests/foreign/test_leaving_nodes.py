@@ -154,6 +154,15 @@ def test_clients_that_are_removed_make_room_for_others(made: Container) -> None:
     assert made.does("response") == NO_RESPONSE
 
 
+def test_the_server_of_a_node_that_has_ended_is_not_looked_at(made: Container) -> None:
+    """Where the server has not been ended before, as that of type descriptions in rclpy."""
+    server = made.page.servers(made.index)["/serve"]
+    assert server.endpoints == 1
+    made.does("over")
+    made.looks()
+    assert server.endpoints == 0
+
+
 def test_the_node_as_which_the_process_was_started_is_not_counted(made: Container) -> None:
     assert not made.page.is_called(made.own)
     made.does("take")

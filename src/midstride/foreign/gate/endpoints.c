@@ -211,12 +211,9 @@ bool forget_ports(unsigned me)
   return true;
 }
 
-void remove_entry(const void *endpoint)
+/* With `lock`. */
+static void removed(struct entry *entry)
 {
-  struct entry *entry = find_entry(endpoint);
-  if (!entry)
-    return;
-  pthread_mutex_lock(&lock);
   atomic_store_explicit(&entry->endpoint, REMOVED, memory_order_release);
   if (atomic_load(&entry->port->node) == entry->me) { /* the manager has not freed it */
     atomic_fetch_sub(&entry->port->endpoints, 1);
@@ -225,5 +222,25 @@ void remove_entry(const void *endpoint)
   }
   discard_kept(entry, 0);
   drop_requests(entry);
+}
+
+void remove_entry(const void *endpoint)
+{
+  struct entry *entry = find_entry(endpoint);
+  if (!entry)
+    return;
+  pthread_mutex_lock(&lock);
+  removed(entry);
   pthread_mutex_unlock(&lock);
+}
+
+void remove_entries_of(const void *owner)
+{
+  for (struct table *table = &first_table; table; table = atomic_load(&table->next))
+    for (unsigned index = 0; index < ENTRIES; index++) {
+      struct entry *entry = &table->entries[index];
+      const void *known = atomic_load(&entry->endpoint);
+      if (known && known != REMOVED && entry->owner == owner)
+        removed(entry);
+    }
 }

@@ -157,13 +157,15 @@ EXPORT int rcl_node_fini(void *ended)
 {
   const char *name =
       page && real_rcl_node_get_fully_qualified_name() ? real_rcl_node_get_fully_qualified_name()(ended) : NULL;
-  if (name) {
+  if (page) {
     pthread_mutex_lock(&lock);
-    struct port *port = listed_node(name);
+    remove_entries_of(ended); /* rclpy does not end its server of type descriptions */
+    struct port *port = name ? listed_node(name) : NULL;
     unsigned owner = port ? atomic_load(&port->node) : 0;
     if (port)
       free_port(port);
-    leave_ended(name, owner);
+    if (name)
+      leave_ended(name, owner);
     pthread_mutex_unlock(&lock);
   }
   return real_rcl_node_fini()(ended);
