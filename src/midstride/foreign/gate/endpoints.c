@@ -234,13 +234,13 @@ void remove_entry(const void *endpoint)
   pthread_mutex_unlock(&lock);
 }
 
-void remove_entries_of(const void *owner)
+void remove_servers_of(const void *owner)
 {
   for (struct table *table = &first_table; table; table = atomic_load(&table->next))
     for (unsigned index = 0; index < ENTRIES; index++) {
       struct entry *entry = &table->entries[index];
       const void *known = atomic_load(&entry->endpoint);
-      if (known && known != REMOVED && entry->owner == owner)
+      if (known && known != REMOVED && entry->kind == SERVER && entry->owner == owner)
         removed(entry);
     }
 }

@@ -186,8 +186,8 @@ static inline struct entry *find_server(const void *service)
 bool add_entry(const void *endpoint, const void *owner, const char *topic, uint32_t kind, const void *type,
                const void *response);
 void remove_entry(const void *endpoint);
-/* Remove all those of a node that ends, whose endpoints are not used any more. With `lock`. */
-void remove_entries_of(const void *owner);
+/* Remove the servers of a node that ends: their clients are counted by way of it. With `lock`. */
+void remove_servers_of(const void *owner);
 /* Forget the ports of the node `me` (index + 1), which another process may have from now on; false where it still has an
  * endpoint. With `lock`. */
 bool forget_ports(unsigned me);

@@ -159,7 +159,7 @@ EXPORT int rcl_node_fini(void *ended)
       page && real_rcl_node_get_fully_qualified_name() ? real_rcl_node_get_fully_qualified_name()(ended) : NULL;
   if (page) {
     pthread_mutex_lock(&lock);
-    remove_entries_of(ended); /* rclpy does not end its server of type descriptions */
+    remove_servers_of(ended); /* rclpy does not end its server of type descriptions */
     struct port *port = name ? listed_node(name) : NULL;
     unsigned owner = port ? atomic_load(&port->node) : 0;
     if (port)
