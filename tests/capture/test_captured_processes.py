@@ -51,9 +51,12 @@ def test_the_program_of_a_container_is_stated_where_its_process_shows_it() -> No
     (container,) = load_text(text).require().containers.values()
     assert (container.run, container.package) == graph.programs["/box"]
     assert "write `in /box` after their components.\n" in text
-    graph.programs["/box"] = "component_container_mt --ros-args -p thread_num:=2", "rclcpp_components"
-    (container,) = load_text(draft("robot", graph)).require().containers.values()
-    assert (container.run, container.package) == graph.programs["/box"]
+    for given in ("-p thread_num:=2", "--params-file /tmp/launch_params_1"):
+        graph.programs["/box"] = f"component_container_mt --ros-args {given}", "rclcpp_components"
+        text = draft("robot", graph)
+        (container,) = load_text(text).require().containers.values()
+        assert (container.run, container.package) == graph.programs["/box"]
+        assert ("# Its program reads a file of parameters" in text) == ("file" in given)
     graph.programs["/box"] = 'odd "name"', "rclcpp_components"
     assert "Its program is not in the graph" in draft("robot", graph)
     assert graph.renamed({"/box": "/other"}).programs == {"/other": ('odd "name"', "rclcpp_components")}

@@ -22,7 +22,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def packaged_programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same with the library linked as librcl is in packages for Ubuntu: calls within it stay there."""
+    """Such a folder, its library linked as librcl is in packages for Ubuntu: calls within it stay there."""
     return compiled(tmp_path_factory.mktemp("packaged"), "-Wl,-Bsymbolic-functions")
 
 

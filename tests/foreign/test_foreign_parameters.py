@@ -26,6 +26,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.status_forms import ParameterStatus
 from midstride.runtime.workspace import Workspace
+from midstride.wire.commands import SetParametersCommand
 from tests.foreign.simulated import SimulatedRos, managed
 
 TEXT = """system drive
@@ -365,6 +366,8 @@ def test_a_node_without_parameter_services_is_waited_for_once(tmp_path: Path) ->
         assert (node.unread_parameters, round(waited, 1)) == (True, 1.0)
         begun = loop.time()
         await parameters.read()
+        with pytest.raises(CommandRefused, match=r"its node /driver offers no services for its parameters, .*nothing"):
+            await parameters.set(SetParametersCommand(parameters={"gain": 3}))
         assert (node.unread_parameters, loop.time()) == (True, begun)
         services.offers = True
         await parameters.read()

@@ -349,7 +349,7 @@ def test_a_component_and_a_node_change_places(lab: Lab) -> None:
 
 @pytest.mark.parametrize("way", ["its part is taken back", "the other one is to answer"])
 def test_what_was_held_when_a_component_died_that_had_noted_nothing_is_not_answered(lab: Lab, way: str) -> None:
-    """It may have answered each of them. What arrives later is answered."""
+    """The component may have answered each of them. A request that arrives later is answered."""
     page = lab.page
     index = share_requests(page, "component")
     with server(lab, index) as served:

@@ -233,7 +233,7 @@ def test_a_server_is_handed_over_between_components_with_the_api_and_nodes_with_
 def test_a_ros_action_is_not_handed_over_between_the_api_and_what_is_not_relayed(
     gate: str, other: str, advice: str
 ) -> None:
-    """What is advised is not refused."""
+    """A way that the message advises is not refused."""
     system = TEXT.replace("  client map : nav_msgs/srv/GetMap responds within 0.1 s\n", "")
     system = system.replace("    uses map\n", "").replace("assume map  ", "")
     system = system.replace("Docking { map <- /map  dock", "Docking { dock")

@@ -51,6 +51,8 @@ def container_lines(graph: ObservedGraph) -> Iterator[str]:
         yield f'# {process.words}: state their classes (`run component "…" package "…" gate preload`),'
         run, unknown = _run_of(graph, process.container), " Its program is not in the graph, either."
         yield f"# and write `in {process.container}` after their components.{'' if run else unknown}"
+        if "--params-file" in run:
+            yield "# Its program reads a file of parameters: copy it if `ros2 launch` has written it below /tmp."
         yield f"container {process.container}{run}"
 
 

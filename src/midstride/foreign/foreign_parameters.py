@@ -116,7 +116,10 @@ class ForeignParameters:
         node, names = self._node, command.parameters.keys()
         await self.read()
         if node.unread_parameters:
-            words = f"its node {node.record.node} has not said its parameters within {READ_TIMEOUT:g} s"
+            words = f"has not said its parameters within {READ_TIMEOUT:g} s"
+            if not self._services.offers_parameters():  # it may not have been waited for
+                words = "offers no services for its parameters, as far as the graph shows"
+            words = f"its node {node.record.node} {words}"
             raise CommandRefused(f"{node.record.instance} has not set {', '.join(names)}: {words}; nothing was set")
         before, declared = dict(node.parameters), dict(node.declared)
         held = self._stated_by_modes() if command.declared is None else frozenset()

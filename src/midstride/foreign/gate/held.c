@@ -126,14 +126,15 @@ static struct held *due(struct entry *entry, struct requests *requests)
   pthread_mutex_lock(&lock);
   for (struct held **place = &entry->held; *place && !found;) {
     struct held *held = *place;
-    enum turn turn = held->claimed ? ANSWER : turn_with_held(requests, entry, held);
+    bool lost = is_lost(requests, held);
+    enum turn turn = held->claimed || lost ? ANSWER : turn_with_held(requests, entry, held);
     if (held->claimed) {
       found = unlink_held(entry, place);
-    } else if (turn != ANSWER && !is_lost(requests, held)) {
+    } else if (turn != ANSWER) {
       if (turn == ADD && claim_request(requests, &held->info, true))
         found = copied_to_add(held);
       place = &held->next;
-    } else if (!is_lost(requests, held) && begin_request(requests, entry, &held->info, &held->subject, now_ns(), &held->taken)) {
+    } else if (!lost && begin_request(requests, entry, &held->info, &held->subject, now_ns(), &held->taken)) {
       found = unlink_held(entry, place);
     } else {
       held = unlink_held(entry, place);
@@ -202,7 +203,8 @@ static uint32_t look_at_held(struct entry *entry, struct requests *requests)
   uint64_t word = atomic_load(&requests->word);
   for (struct held **place = &entry->held; *place;) {
     struct held *held = *place;
-    if (!held->claimed && (is_lost(requests, held) || is_over(requests, entry, held) || !claim_request(requests, &held->info, true))) {
+    if (!held->claimed &&
+        (is_lost(requests, held) || is_over(requests, entry, held) || !claim_request(requests, &held->info, true))) {
       free_held(unlink_held(entry, place));
       continue;
     }

@@ -207,7 +207,8 @@ struct requests {
   _Atomic int64_t mixed;
   _Atomic uint32_t shared; /* whether two nodes have them */
   _Atomic uint32_t knows;  /* how many were put into `known`, in all */
-  /* What a node has held since before then is not answered: a component has died that had noted nothing (CLOCK_MONOTONIC, ns). */
+  /* What a node has held since before then is not answered: a component has died that had noted nothing. CLOCK_MONOTONIC,
+   * ns. */
   _Atomic int64_t lost;
   uint32_t spare[4];
   struct client clients[CLIENTS];

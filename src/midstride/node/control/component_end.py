@@ -34,7 +34,10 @@ RESPONSE_SECONDS: Final = 0.5
 
 @dataclass
 class ComponentEnd:
-    """``declared`` returns every parameter, those of the ROS node as well; ``patience``: as in the handlers (s)."""
+    """The steps by which a component ends, so that what others have asked of it is done, or said to be lost.
+
+    ``declared`` returns every parameter, those of the ROS node as well; ``patience``: how long its goals may take (s).
+    """
 
     parts: DeclaredParts
     host: Host

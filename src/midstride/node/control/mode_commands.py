@@ -40,7 +40,7 @@ class Revision:
 
 @dataclass
 class ModeCommands:
-    """``before`` is the author's function that is called before modes change, if there is one."""
+    """Changes the modes of a component, and holds its calls. ``before``: what its author has called first, if any."""
 
     host: Host
     data: DataExecutor

@@ -143,11 +143,11 @@ def what_ended(
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
     two nodes with the library in their processes, the successor goes on with each service and ROS action; where it has
-    another name, not with those below the old one. Where one of the two has the API, it goes on with each service. It
-    goes on with what it ``offers``, in words; None: that is not known. The
-    old one goes on with the goals that it has accepted, as does a component with the API beside another one. ``spare``:
-    no manager has accepted it, and another instance of its role runs: that answers, as long as something holds this one
-    back, so it ends with no more than what it has called.
+    another name, not with those below the old one. Where one of the two has the API, it goes on with each service. Of
+    these, those count that it ``offers``, in words; None: that is not known. The old one goes on with the goals that it
+    has accepted, as does a component with the API beside another one. ``spare``: no manager has accepted it, and
+    another instance of its role runs: that answers, as long as something holds this one back, so it ends with no more
+    than what it has called.
     """
     own, state = known.endpoints, None if known.latest is None else known.latest.state
     called = [f"{each.kind} {each.name}" for each in own if each.kind != "topic" and not each.serves]
