@@ -2,8 +2,9 @@
  * the service, and clients of it. For each line of its input it does what the line says, and writes the result of rcl:
  * `take` takes a message, `request` a request, `response` and `info` a response, by one function and the other, and `timer`
  * calls a timer that it has made in a callback; `due` is how often that has been due, `calls` how often its callback was
- * called. `over` ends the node, and not its server, as rclpy does. `begin` and `end` are what rclcpp says of a callback,
- * `wait` waits, and `again` removes a client, and makes another one, many times. */
+ * called. `describe` makes its server of type descriptions. `over` ends the node, and not its servers, as rclpy does.
+ * `begin` and `end` are what rclcpp says of a callback, `wait` waits, and `again` removes a client, and makes another one, many
+ * times. */
 #define _GNU_SOURCE
 #include <stdbool.h>
 #include <stdint.h>
@@ -18,6 +19,7 @@ struct allocator {
 int rcl_node_init(void *, const char *, const char *, void *, const void *);
 int rcl_subscription_init(void *, const void *, const void *, const char *, const void *);
 int rcl_service_init(void *, const void *, const void *, const char *, const void *);
+int rcl_node_type_description_service_init(void *, const void *);
 int rcl_client_init(void *, const void *, const void *, const char *, const void *);
 int rcl_client_fini(void *, void *);
 int rcl_take(const void *, void *, void *, void *);
@@ -59,7 +61,7 @@ int main(int count, char **arguments)
   static const char message_type;
   static const void *const service_type[5] = {"of a test", NULL, NULL, "request", "response"};
   static const uint64_t options[16];
-  void *node, *subscription, *server, *client;
+  void *node, *subscription, *server, *description, *client;
   uint64_t buffer[16] = {0}, info[16] = {0}, id[3] = {0};
   int timer;
   rcl_node_init(&node, arguments[1], "", NULL, NULL);
@@ -88,6 +90,8 @@ int main(int count, char **arguments)
       result = timer;
     else if (strcmp(line, "calls") == 0)
       result = calls;
+    else if (strcmp(line, "describe") == 0)
+      result = rcl_node_type_description_service_init(&description, &node);
     else if (strcmp(line, "over") == 0)
       result = rcl_node_fini(&node);
     else if (strcmp(line, "begin") == 0)

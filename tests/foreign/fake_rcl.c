@@ -293,11 +293,29 @@ struct request_info {
   struct request_id id;
 };
 
+__attribute__((noinline))
 int rcl_service_init(const char **service, const void *node, const void *type, const char *name, const void *options)
 {
   (void)node, (void)type, (void)options;
   *service = name;
   return 0;
+}
+
+const void *rosidl_typesupport_c__get_service_type_support_handle__type_description_interfaces__srv__GetTypeDescription(void)
+{
+  static const void *const type[5] = {"of a test", NULL, NULL, "request", "response"};
+  return type;
+}
+
+/* As that of rcl: it makes a server by a call that a library before this one sees, or not, as this one is linked. */
+int rcl_node_type_description_service_init(const char **service, const char *const *node)
+{
+  static const uint64_t options[16];
+  static char name[256];
+  strcat(strcpy(name, *node), "/get_type_description");
+  const void *type =
+      rosidl_typesupport_c__get_service_type_support_handle__type_description_interfaces__srv__GetTypeDescription();
+  return rcl_service_init(service, node, type, name, options);
 }
 
 int rcl_service_fini(const char **service, void *node)

@@ -64,7 +64,18 @@ class Container:
 
 @pytest.fixture
 def made(lab: Lab, request: pytest.FixtureRequest) -> Iterator[Container]:
-    container = Container(lab, *getattr(request, "param", ()))
+    yield from contained(lab, *getattr(request, "param", ()))
+
+
+@pytest.fixture(params=["programs", "packaged_programs"])
+def linked(lab: Lab, request: pytest.FixtureRequest) -> Iterator[Container]:
+    """A container with librcl linked either way."""
+    lab.programs = request.getfixturevalue(request.param)
+    yield from contained(lab)
+
+
+def contained(lab: Lab, *how: bool) -> Iterator[Container]:
+    container = Container(lab, *how)
     yield container
     container.process.kill()
     container.process.communicate()
@@ -88,22 +99,13 @@ def test_nothing_calls_a_node_that_its_container_has_unloaded(made: Container) -
     assert {call: made.does(call) for call in CALLS} == CALLS
 
 
-@pytest.mark.parametrize("linked", ["programs", "packaged_programs"])
-def test_a_timer_is_due_without_a_call_while_its_node_leaves(
-    lab: Lab, request: pytest.FixtureRequest, linked: str
-) -> None:
+def test_a_timer_is_due_without_a_call_while_its_node_leaves(linked: Container) -> None:
     """Else the executor would find it ready at once; and it goes on by itself if the node stays after all."""
-    lab.programs = request.getfixturevalue(linked)
-    made = Container(lab)
-    try:
-        seen = [(made.does("timer"), made.does("due"), made.does("calls"))]
-        made.page.leaves(made.index, True)
-        seen += [(made.does("timer"), made.does("due"), made.does("calls")) for _ in range(2)]
-        made.page.leaves(made.index, False)
-        seen += [(made.does("timer"), made.does("due"), made.does("calls"))]
-    finally:
-        made.process.kill()
-        made.process.communicate()
+    seen = [(linked.does("timer"), linked.does("due"), linked.does("calls"))]
+    linked.page.leaves(linked.index, True)
+    seen += [(linked.does("timer"), linked.does("due"), linked.does("calls")) for _ in range(2)]
+    linked.page.leaves(linked.index, False)
+    seen += [(linked.does("timer"), linked.does("due"), linked.does("calls"))]
     assert seen == [(TAKEN, 1, 1), (CANCELED, 2, 1), (CANCELED, 3, 1), (TAKEN, 4, 2)]
 
 
@@ -160,6 +162,14 @@ def test_the_server_of_a_node_that_has_ended_is_not_looked_at(made: Container) -
     assert server.endpoints == 1
     made.does("over")
     made.looks()
+    assert server.endpoints == 0
+
+
+def test_the_server_of_type_descriptions_is_seen_once_however_librcl_is_linked(linked: Container) -> None:
+    assert linked.does("describe") == 0
+    server = linked.page.servers(linked.index)["/node/get_type_description"]
+    assert server.endpoints == 1
+    linked.does("over")
     assert server.endpoints == 0
 
 
