@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +18,7 @@ import pytest
 
 from midstride.cli import client, follow, shutdown
 from midstride.cli.client import Client
-from midstride.cli.commands import up
+from midstride.cli.commands import dev, up
 from midstride.cli.dev.requested_changes import Changes
 from midstride.errors import ManagerError
 from midstride.runtime.records.reports import Event, Outcome, UpReport
@@ -285,3 +287,30 @@ def test_up_that_is_interrupted_while_it_waits_for_the_first_rates(
         goes_on = "talker is up and keeps running: `midstride status` shows it, `midstride down` stops it."
         assert (done.status, goes_on in done.err) == (130, True)
         assert midstride("status").status == 0
+
+
+def test_dev_ends_its_system_though_the_first_signal_is_lost_and_a_second_one_comes(
+    midstride: Midstride, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The exception of the first is lost, as in a callback of an import; the second comes while the system stops."""
+    file = str(EXAMPLES / "talker" / "talker.stride")
+
+    def brought_up(manager: Client, *_: Any) -> UpReport:
+        assert midstride.process("up", file, "--backend", "sim", "--detach").status == 0
+        return manager.up()
+
+    def saves(_: Any) -> Iterator[None]:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGHUP)
+        yield
+        pytest.fail("it goes on")
+
+    def stopped(system: str) -> Any:
+        signal.raise_signal(signal.SIGHUP)
+        return shutdown.shut_down(system)
+
+    monkeypatch.setattr(dev, "bring_up", brought_up)
+    monkeypatch.setattr(dev, "saves", saves)
+    monkeypatch.setattr(dev, "shut_down", stopped)
+    assert here(midstride, "dev", file, "--backend", "sim").status == 0
+    assert "no system is running" in midstride("status").err

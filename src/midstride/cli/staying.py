@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import click
 
@@ -18,10 +19,34 @@ POLL = 0.2
 SILENCE = 5.0
 
 
+@dataclass(slots=True)
+class EndRequest:
+    """Says that a signal has asked this process to end.
+
+    The exception that a signal raises is lost where Python is in a callback of its own, as while it imports a module.
+    What goes on for long looks here as well: whoever has closed a terminal cannot press Ctrl-C again.
+    """
+
+    came: bool = False
+
+
 @contextmanager
-def ended_by_signals() -> Iterator[None]:
+def ended_by_signals() -> Iterator[EndRequest]:
     """SIGTERM and SIGHUP interrupt the block as Ctrl-C does. A launch ends its processes with SIGINT, then SIGTERM."""
-    with _handled_by(_interrupt, signal.SIGTERM, signal.SIGHUP):
+    request = EndRequest()
+
+    def interrupt(*_: object) -> None:
+        request.came = True
+        _interrupt()
+
+    with _handled_by(interrupt, signal.SIGTERM, signal.SIGHUP):
+        yield request
+
+
+@contextmanager
+def not_interrupted() -> Iterator[None]:
+    """Ignore signals in the block, which ends a system: a terminal and a launch may both send one."""
+    with _handled_by(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         yield
 
 
@@ -35,14 +60,14 @@ def _handled_by(handler: Callable[..., object] | signal.Handlers, *numbers: sign
             signal.signal(number, earlier)
 
 
-def _interrupt(*_: object) -> None:
+def _interrupt() -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a job that a script has started in the background
         raise KeyboardInterrupt
     signal.raise_signal(signal.SIGINT)
 
 
-def stay(client: Client, system: str, begin: Callable[[], object]) -> int:
-    """Wait until this process is interrupted, its parent ends, or the manager does; stop the system, if it runs.
+def stay(client: Client, system: str, begin: Callable[[], object], request: EndRequest) -> int:
+    """Wait until this process is asked to end, its parent ends, or the manager does; stop the system, if it runs.
 
     ``begin`` is called first; the system is stopped as well where that is interrupted.
     """
@@ -50,7 +75,7 @@ def stay(client: Client, system: str, begin: Callable[[], object]) -> int:
     try:
         begin()
         answered = time.monotonic()
-        while os.getppid() == parent:
+        while os.getppid() == parent and not request.came:
             time.sleep(POLL)
             if client.answers():
                 answered = time.monotonic()
@@ -59,8 +84,7 @@ def stay(client: Client, system: str, begin: Callable[[], object]) -> int:
                 return 1
     except KeyboardInterrupt:
         pass
-    # A terminal and a launch may both send one.
-    with _handled_by(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    with not_interrupted():
         _, report = shut_down(system)
     for words in (f"{system} is down", *(each.words for each in report.killed)):
         click.echo(f"{words}.")

@@ -22,7 +22,7 @@ from midstride.cli.input_files import require_file
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down
-from midstride.cli.staying import ended_by_signals
+from midstride.cli.staying import ended_by_signals, not_interrupted
 from midstride.codec.form import encode
 from midstride.errors import SpecificationError
 from midstride.runtime.records.reports import Outcome
@@ -35,7 +35,6 @@ from midstride.runtime.workspace import Workspace
 @platform_options(spares=1)
 @with_other_nodes_option
 @json_option
-@ended_by_signals()
 def dev_command(
     file: Path,
     backend: str,
@@ -57,33 +56,38 @@ def dev_command(
     specification = WatchedSpecification(file)
     workspace = Workspace.of(specification.wanted.name)
     client, screen = Client(workspace.socket), _Screen(console(stderr=wants_json()), wants_json())
-    started = not client.answers()
-    if started:
-        workspace.require_room()
-        for line in missing_lines(bring_up(client, workspace, arguments)):
-            screen.say(line, "red")
-    elif use_sim_time or no_middleware_settings or no_diagnostics:
-        screen.say(f"{workspace.name} is running already: --use-sim-time and --no-… have no effect")
-    changes: Changes | None = None
-    try:
-        changes = Changes(client, str(file.resolve()), with_other_nodes=with_other_nodes)
-        session = DevSession(specification, client, changes.carry_out, screen)
-        session.look()
-        for line in other_overlay(client.programs()):
-            screen.say(line, "yellow")
-        ends = "stops the system" if started else "leaves it running"
-        screen.say(f"{workspace.name} is {'up' if started else 'attached'}. Swapping on save; Ctrl-C {ends}.", "green")
-        for _ in saves(session.folders):
-            session.look()
-    except KeyboardInterrupt:
-        if changes is not None and not started:
-            for line in changes.interrupted():
-                screen.say(line, "yellow")
-    finally:
+    with ended_by_signals() as request:
+        started = not client.answers()
         if started:
-            with suppress(OSError):  # the terminal may be closed
-                screen.say(f"Stopping {workspace.name} …", "dim")
-            shut_down(workspace.name)
+            workspace.require_room()
+            for line in missing_lines(bring_up(client, workspace, arguments)):
+                screen.say(line, "red")
+        elif use_sim_time or no_middleware_settings or no_diagnostics:
+            screen.say(f"{workspace.name} is running already: --use-sim-time and --no-… have no effect")
+        changes: Changes | None = None
+        try:
+            changes = Changes(client, str(file.resolve()), with_other_nodes=with_other_nodes)
+            session = DevSession(specification, client, changes.carry_out, screen)
+            session.look()
+            for line in other_overlay(client.programs()):
+                screen.say(line, "yellow")
+            ends = "stops the system" if started else "leaves it running"
+            state = "up" if started else "attached"
+            screen.say(f"{workspace.name} is {state}. Swapping on save; Ctrl-C {ends}.", "green")
+            for _ in saves(session.folders):
+                if request.came:
+                    raise KeyboardInterrupt
+                session.look()
+        except KeyboardInterrupt:
+            if changes is not None and not started:
+                for line in changes.interrupted():
+                    screen.say(line, "yellow")
+        finally:
+            if started:
+                with not_interrupted():
+                    with suppress(OSError):  # the terminal may be closed
+                        screen.say(f"Stopping {workspace.name} …", "dim")
+                    shut_down(workspace.name)
     return 0
 
 

@@ -177,11 +177,11 @@ def up_command(
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
     arguments += ["--finish-interrupted"] * finish_interrupted + ["--keep-degraded"] * keep_degraded
     arguments += ["--strict"] * strict
-    with ended_by_signals() if stop_on_exit else nullcontext():
+    with ended_by_signals() if stop_on_exit else nullcontext() as request:
         answer = bring_up(client, workspace, arguments)
         shown = partial(_show_how_it_came_up, client, workspace, specification, file, answer, http, http_host)
-        if stop_on_exit:
-            return stay(client, workspace.name, shown)
+        if request is not None:
+            return stay(client, workspace.name, shown, request)
     name = workspace.name
     goes_on = f"{name} is up and keeps running: `midstride status` shows it, `midstride down` stops it."
     with explained_when_interrupted(lambda: goes_on):
