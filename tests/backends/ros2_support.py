@@ -254,8 +254,8 @@ class Bare:
     async def until_named(self, name: str, times: int = 1, seconds: float = 60.0) -> None:
         """Wait until the graph shows so many nodes of a name.
 
-        Where it does not, a node that starts now is asked, as ``ros2 node list`` would be: a middleware that has lost
-        what it was told of a node shows it to nobody who listened then, and to everybody who comes later.
+        Where it does not, a node that starts now is asked, as ``ros2 node list`` would be: if discovery has
+        lost an announcement, only participants that join later see the node.
         """
         with contextlib.suppress(AssertionError):
             await self.until(lambda: self.node.get_node_names().count(name) == times, seconds)

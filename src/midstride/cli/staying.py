@@ -23,8 +23,9 @@ SILENCE = 5.0
 class EndRequest:
     """Says that a signal has asked this process to end.
 
-    The exception that a signal raises is lost where Python is in a callback of its own, as while it imports a module.
-    What goes on for long looks here as well: whoever has closed a terminal cannot press Ctrl-C again.
+    An exception raised by a signal handler is lost if the interpreter is in one of its own callbacks, for example
+    during an import. Long-running loops therefore check this flag, too: nobody can press Ctrl-C again in a terminal
+    that is closed.
     """
 
     came: bool = False

@@ -329,7 +329,7 @@ class ForeignAgent:
             await own.reach(state, own.services_timeout)
 
     def has_no_lifecycle(self) -> bool:
-        """Return whether the node, which runs, is certainly no lifecycle node; such a one has its services first.
+        """Return whether the running node is certainly not a lifecycle node, which creates its services first.
 
         It has made its endpoints, and its library has seen no such service; or the graph shows nothing new of it.
         """
