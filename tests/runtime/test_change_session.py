@@ -401,7 +401,7 @@ def test_a_role_that_has_left_the_specification_is_missing_no_longer(tmp_path: P
 
 def test_planning_changes_nothing(tmp_path: Path) -> None:
     async def body(s: SessionBench) -> None:
-        plan, target = await s.session.plan(REPLACEMENT)
+        plan, target = await s.session.planner.plan(REPLACEMENT)
         assert plan.steps and target.nodes["talker"].component == "NewTalker"
         assert s.system.specification == TALKER and s.client.sent == [] and s.kinds() == []
 

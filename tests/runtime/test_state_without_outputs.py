@@ -290,7 +290,7 @@ def test_where_no_topic_is_handed_over_the_plan_and_the_outcome_say_so(tmp_path:
         contract = replace(connectors["/out"].guarantee, rate=25.0)
         other = connectors.set("/out", replace(connectors["/out"], guarantee=contract))
         request = PlanRequest(to=replace(manager.specification, connectors=other), restart=("counter",))
-        plan, _target = await manager._session.plan(request)
+        plan, _target = await manager._session.planner.plan(request)
         because = "it takes over no topic of counter, so there is no cut at which the state of counter could move"
         form = plan_form(plan)
         assert form.own_state == {"counter_2": because}

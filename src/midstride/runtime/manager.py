@@ -308,7 +308,7 @@ class Manager:
 
     async def plan(self, request: PlanRequest) -> Plan:
         """The plan for ``request`` from the current configuration. Raises PlanRefused."""
-        plan, _ = await self._session.plan(request)
+        plan, _ = await self._session.planner.plan(request)
         return plan
 
     async def history(self, latest: int) -> History:

@@ -1,75 +1,47 @@
 """The change session: one change from its request to its report.
 
-Plan, verify if requested, carry out step by step, measure at the subscribers, report (docs/semantics.md sections 6
-and 7). Planning and verification do not block the event loop.
+Have it planned, verify if requested, carry out step by step, measure at the subscribers, report (docs/semantics.md
+sections 6 and 7). Verification does not block the event loop.
 """
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
-from immutables import Map
 from msgspec import UNSET, UnsetType, structs
 
-from midstride.codec.parameter import from_json
-from midstride.errors import BackendError, ManagerError, PlanRefused, StepFailed, Superseded
+from midstride.errors import ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
 from midstride.model.action import Action, Create, Upgrade
 from midstride.model.component import PortRef
-from midstride.model.configuration import Configuration
-from midstride.model.specification import Order, Specification
+from midstride.model.specification import Specification
 from midstride.model.wording import counted
-from midstride.plan.change_builder import change_between, requested_change
-from midstride.plan.estimate import Estimate
 from midstride.plan.forms.plan_forms import PlanForm, PlanPreview
-from midstride.plan.goals_in_progress import with_time_for_goals
 from midstride.plan.overlap import overlap
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
-from midstride.plan.runtime_values import Origin, Values, of_change, with_times
-from midstride.plan.sensitivity import sensitivity
-from midstride.plan.state_continuity import with_time_for_state
-from midstride.plan.strategies.registry import planner
-from midstride.plan.strategies.restore import restore
-from midstride.plan.strategies.settings import set_parameters
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.cancellation import run_to_completion
 from midstride.runtime.change.action_driver import ActionDriver
 from midstride.runtime.change.change_assessment import change_assessment
 from midstride.runtime.change.change_permission import NO_OVERRIDE, ChangePermission, Override
 from midstride.runtime.change.change_phases import ChangeEvent
-from midstride.runtime.change.container_copies import room_for_copies
+from midstride.runtime.change.change_planner import ChangePlanner
 from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.goal_tallies import goal_tallies
-from midstride.runtime.change.lost_endpoints import (
-    answered_in_turn,
-    lost_endpoints,
-    messages_in_turn,
-    offered,
-    with_goals,
-)
-from midstride.runtime.change.managed_nodes import require_unmanaged
-from midstride.runtime.change.other_nodes_losses import (
-    ending_nodes,
-    nodes_that_ended,
-    nodes_that_will_end,
-    would_end_others,
-)
-from midstride.runtime.change.parameter_transfer import ParameterTransfer, unread_parameters
-from midstride.runtime.change.planned_transfers import planned_transfers
+from midstride.runtime.change.lost_endpoints import offered
+from midstride.runtime.change.other_nodes_losses import nodes_that_ended
+from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
-from midstride.runtime.change.stalled_first import with_stalled_first
-from midstride.runtime.change.successor_names import names_after
-from midstride.runtime.handover.arbiter_choice import require_arbiters
-from midstride.runtime.handover.fences import DEFAULT_WAIT, hanging
+from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.records.change_report import ChangeTimeline
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
@@ -83,7 +55,6 @@ from midstride.runtime.watch.output_tallies import OutputTallies, recorded_topic
 from midstride.runtime.watch.subscriber_recording import Recording
 from midstride.verdicts import change_facts
 from midstride.verify.verdict import Verdict
-from midstride.wire.state import Endpoint
 
 # Code that raises often does so in its first calls, so the functionalities that a change has raised are watched for
 # this many periods after its last step before it is reported, or this long if no rate is known, and the time that a
@@ -125,90 +96,7 @@ class ChangeSession:
         self.monitor, self.clock = shared.monitor, self.backend.clock
         self.permission = ChangePermission(self.backend, self.events, self.store)
         self.others = OtherNodesWatch(self.backend, self.system)
-
-    async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
-        """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused.
-
-        Also where nodes that are not meant would end with a process that the plan ends.
-        """
-        system = self.system
-        values = system.values.by_role(system.configuration)
-        unknown = system.values.unknown_by_role(system.configuration)
-        instances, nodes = system.configuration.instances.items(), system.specification.nodes
-        request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
-        specification = request.to or system.specification
-        together = request.together(specification)
-        apart = {role: name for role, name in system.apart.items() if role not in together}
-        request = request.for_members(specification)
-        measured = dict(self.journal.estimates)
-        request, orders, remarks = with_stalled_first(request, system.configuration, self.monitor.undiscovering)
-        away = [role for role in system.crashes if not system.has_instance(role)]
-        away = [role for role in away if request.stays_away(role, system.specification)]
-        said = await self._said([role for role, _ in request.parameters])
-        plan, target = await asyncio.to_thread(
-            _plan,
-            request,
-            system.specification,
-            system.configuration,
-            values,
-            measured,
-            orders,
-            away,
-            unknown,
-            said,
-            apart,
-        )
-        require_arbiters(plan)
-        unseen = await require_unmanaged(plan, self.client)
-        left = (f"{role} does not run, and this change does not start it: {system.remedy(role)}" for role in away)
-        asked = ((old, system.life.latest(old)) for old in plan.change.replaced)
-        unread = [
-            unread_parameters(plan.change.instance(old), None if latest is None else latest.state)
-            for old, latest in asked
-        ]
-        not_known = filter(None, unread)
-        hung = hanging(system.life, map(plan.change.instance, plan.change.leaving))
-        others = ending_nodes(plan, self.others.look())
-        if not request.with_other_nodes and (refused := would_end_others(others)) is not None:
-            raise PlanRefused(refused)
-        handles = system.life.handles
-        pids = {name: handle.pid for name, handle in handles.items() if handle.pid is not None}
-        room = await asyncio.to_thread(lambda: tuple(room_for_copies(plan, pids)))
-        besides = (
-            *lost_endpoints(plan, system.life.latest_states, self._endpoints()),
-            *planned_transfers(plan, system.life.latest_states),
-            *names_after(plan, system.life.latest_states),
-            *nodes_that_will_end(plan, others),
-            *(change_facts.management_not_seen(name, planned=True) for name in unseen),
-        )
-        states = system.life.latest_states
-        in_turn = (*answered_in_turn(plan, states), *messages_in_turn(plan, states))
-        remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks, *room)
-        plan = with_time_for_goals(plan, with_goals(states, self._endpoints()))
-        plan = with_time_for_state(plan, {name for name, latest in states.items() if latest.state.keeps_state})
-        live = system.configuration.instances_by_role
-        times = with_times(plan.parameters, lambda role: system.values.set_at(next(iter(live.get(role, ())), "")))
-        return replace(plan, remarks=remarks, besides=besides, parameters=times), target
-
-    async def _said(self, roles: Iterable[str]) -> dict[str, Values]:
-        """The parameters of the instances of ``roles``, by instance, as their nodes say them now.
-
-        Raises PlanRefused for an unknown role, or one whose instance does not run or does not say them.
-        """
-        found: dict[str, Values] = {}
-        for role in dict.fromkeys(roles):
-            try:
-                state = await self.client.peek(self.system.live_instance(role))
-            except (BackendError, ManagerError) as error:
-                raise PlanRefused(str(error)) from None
-            if state.unread_parameters:
-                raise PlanRefused(f"{state.instance} does not say its parameters: its parameter services do not answer")
-            found[state.instance] = {name: from_json(value) for name, value in state.parameters.items()}
-        return found
-
-    def ends_others(self, plan: Plan) -> str | None:
-        """Why ``plan`` is refused, unless the other nodes that it ends are meant; None if there are none."""
-        return would_end_others(ending_nodes(plan, self.others.look()))
+        self.planner = ChangePlanner(self.system, self.client, self.monitor, self.journal, self.others)
 
     async def change(
         self,
@@ -233,7 +121,7 @@ class ChangeSession:
             because = "the configuration has changed since the plan was shown; look at the new plan"
             return Outcome(outcome="refused", because=because)
         try:
-            plan, target = await self.plan(request)
+            plan, target = await self.planner.plan(request)
             self.store.require()
         except (PlanRefused, ManagerError) as error:
             return self._refuse(str(error))
@@ -347,10 +235,6 @@ class ChangeSession:
         with suppress(Superseded):
             await change.entry.recorded(outcome, timeline)
         return outcome
-
-    def _endpoints(self) -> dict[str, list[Endpoint]]:
-        """By instance, the endpoints that the running components with the API have besides their ports."""
-        return {name: self.client.endpoints(name) for name in self.system.configuration.instances}
 
     def _mode_recorder(self, change: RunningChange) -> ModeRecorder:
         created = [action.instance for action in change.actions if isinstance(action, Create)]
@@ -532,56 +416,3 @@ class ChangeSession:
         ]
         calls = max((FIRST_CALLS / rate for rate in rates if rate), default=FIRST_CALLS_WITHOUT_RATE)
         return min(LONGEST_FIRST_CALLS, calls + REPORT_DELAY)
-
-
-def _plan(
-    request: PlanRequest,
-    specification: Specification,
-    configuration: Configuration,
-    values: Mapping[str, Values],
-    measured: Mapping[str, Estimate],
-    orders: Sequence[Order] = (),
-    away: Collection[str] = (),
-    unknown: Mapping[str, Mapping[str, Origin]] | None = None,
-    said: Mapping[str, Values] | None = None,
-    apart: Mapping[str, str] = Map(),
-) -> tuple[Plan, Specification]:
-    """``orders`` are kept by a plan that replaces one role after another; the other strategies remove all first.
-
-    The roles ``away`` do not run, and the plan leaves them so. ``unknown``: by role, the parameters of unknown origin.
-    ``said``: the values of those instances whose parameters are to be set. ``apart``: by role, the container that its
-    last instance had left.
-    """
-    target, keep = request.target(specification), not request.declared_parameters
-    if request.restore:
-        return restore(configuration, specification, dict(request.restore), measured), target
-    if request.parameters:
-        return set_parameters(configuration, specification, request.parameters, said or {}, measured), target
-    planned = replace(target, constraints=(*target.constraints, *orders)) if request.strategy == "minimal" else target
-    if request.to is not None and not keep:
-        configuration = _as_set(configuration, values)
-    if request.to is None and len(request.roles()) == 1:
-        change = requested_change(configuration, specification, request, planned, measured, apart)
-    else:
-        renewed, same = request.renewed(planned), request.same_process
-        change = change_between(
-            configuration, specification, planned, measured, renewed, away, apart, same_process=same
-        )
-    plan = planner(request.strategy, detours=request.detours)(change)
-    parameters = of_change(plan.change, values, keep=keep, unknown=unknown)
-    doubt = sensitivity(plan)
-    return replace(
-        plan, parameters=parameters, remarks=plan.remarks if doubt is None else (*plan.remarks, doubt)
-    ), target
-
-
-def _as_set(configuration: Configuration, values: Mapping[str, Values]) -> Configuration:
-    """``configuration`` with the values that were set at run time, so that a plan sets them back in place.
-
-    A parameter that the specification does not declare cannot be set by a plan: it keeps its value.
-    """
-    for role, found in values.items():
-        for instance in configuration.instances_of(role):
-            declared = {name: value for name, value in found.items() if name in instance.component.parameters}
-            configuration = configuration.with_parameters(instance.name, declared)
-    return configuration

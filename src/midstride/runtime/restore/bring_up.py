@@ -147,7 +147,7 @@ class BringUp:
         reach = self.session.backend.reach()
         origin = (system.file, system.changed_since)
         self.store.begin(self.backend, self.client.token, running, self.options, *origin, reach)
-        if (refused := self.session.ends_others(plan)) is not None:  # they are not meant: no command has asked
+        if (refused := self.session.planner.ends_others(plan)) is not None:  # they are not meant: no command has asked
             if specification != running:
                 raise PlanRefused(refused)
             self.events.add("note", f"what an earlier manager has left half done stays as it is: {refused}")
@@ -187,7 +187,7 @@ class BringUp:
                 continue
             request = PlanRequest(parameters=tuple((role, Map(values)) for role, values in before.items()))
             try:
-                plan, target = await self.session.plan(request)
+                plan, target = await self.session.planner.plan(request)
                 if plan.steps:
                     begun = await self.session.begin(plan, target, request.describe(), "up", required=False)
                     outcome = await self.session.carry_out(begun)
