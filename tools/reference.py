@@ -1,8 +1,8 @@
 """Writes what is generated from the source: ``python -m tools.reference``. ``--check`` names outdated ones.
 
 `make reference` writes them, `make lint` checks them. Each has one source: the catalogue of diagnostics, the help of
-the commands, the JSON Schema of specifications, the decisions for their index, and the API's forms for the checker of
-the dashboard's modules.
+the commands, the JSON Schema of specifications, the decisions for their index, the API's forms for the checker of
+the dashboard's modules, and Click's scripts for completion.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Final
 
 from midstride.codec.schema import specification_schema
 from midstride.lang.catalogue import reference
+from tools import completions
 from tools.command_blocks import BLOCK, block, blocks
 from tools.dashboard_types import declarations
 
@@ -63,6 +64,9 @@ PAGES: Final[dict[Path, Callable[[str], str]]] = {
     DOCS / "reference" / "specification.schema.json": schema,
     DECISIONS / "README.md": index,
     ROOT / "tools" / "dashboard" / "api.d.ts": lambda _: declarations(),
+    completions.FOLDER / "midstride.bash": lambda _: completions.script("bash"),
+    completions.FOLDER / "midstride.zsh": lambda _: completions.script("zsh"),
+    completions.FOLDER / "midstride.fish": lambda _: completions.script("fish"),
 }
 
 

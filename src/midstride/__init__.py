@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from midstride.node.author.server_ports import ActionServerPort, ServerPort
     from midstride.wire.state import Measured
 
-__version__ = "0.1.0"
+    __version__: str
 
 __all__ = [
     "ActionClientPort",
@@ -77,9 +77,15 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    value: Any
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value = version("midstride")
+    elif name in _HOMES:
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+    else:
         raise AttributeError(f"module 'midstride' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOMES[name]), name)
     globals()[name] = value
     return value
 

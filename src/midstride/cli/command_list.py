@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from midstride import __version__
 from midstride.cli.output import json_option
 
 if TYPE_CHECKING:
@@ -110,6 +109,8 @@ class Commands(Group):
 
 def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     if value and not ctx.resilient_parsing:
+        from midstride import __version__  # read from the metadata of what is installed
+
         click.echo(f"midstride {__version__}")
         ctx.exit()
 

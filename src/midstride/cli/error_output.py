@@ -22,7 +22,8 @@ _NUMBERS: Final = {"integer": "whole number", "float": "number"}
 
 def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str]) -> int:
     """Report why the command ``words`` failed. The exit status: NO or USAGE."""
-    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+    # Of click 8.2 and later; before, a command without arguments prints its help and ends.
+    if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
         print(error.format_message(), file=sys.stderr)
         return USAGE
     if isinstance(error, click.UsageError):
