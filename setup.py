@@ -1,6 +1,7 @@
 """The build as a ROS package, by colcon; the wheel is built from pyproject.toml (docs/how-to/ros-package.md).
 
-Everything is said here, as Ubuntu 22.04's setuptools ignores [project]; later ones are told to. The version has one place, package.xml, and a test compares the rest with the wheel.
+Everything is said here, as Ubuntu 22.04's setuptools ignores [project]; later ones are told to.
+The version has one place, package.xml, and a test compares the rest with the wheel.
 """
 
 import glob

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import click
 
@@ -23,7 +23,9 @@ _NUMBERS: Final = {"integer": "whole number", "float": "number"}
 def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str]) -> int:
     """Report why the command ``words`` failed. The exit status: NO or USAGE."""
     # Of click 8.2 and later; before, a command without arguments prints its help and ends.
-    if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
+    without_arguments: Any = getattr(click.exceptions, "NoArgsIsHelpError", ())
+    if isinstance(error, without_arguments):
+        assert isinstance(error, click.UsageError)
         print(error.format_message(), file=sys.stderr)
         return USAGE
     if isinstance(error, click.UsageError):
