@@ -16,7 +16,9 @@ from tools import changelog_rst
 from tools.wheel_contents import expected
 
 ROOT = Path(__file__).parents[2]
-COLCON = [f"colcon-{name}" for name in "core ros bash recursive-crawl metadata test-result package-information".split()]
+PAGE = ROOT / "docs" / "how-to" / "ros-package.md"
+EXTENSIONS = "ros bash recursive-crawl metadata package-selection package-information test-result"
+COLCON = ["colcon-core", *(f"colcon-{name}" for name in EXTENSIONS.split())]
 OLDEST = "setuptools==59.6.0"
 SOURCES = ("colcon.pkg", "examples", "LICENSE", "package.xml", "pyproject.toml", "ros", "setup.cfg", "setup.py", "src")
 
@@ -30,6 +32,7 @@ class Workspace:
         self.environment = {
             "PATH": f"{python.parent}:/usr/bin:/bin",
             "HOME": str(folder),
+            "MIDSTRIDE_BACKEND": "sim",
             "COLCON_EXTENSION_BLOCKLIST": "colcon_core.event_handler.desktop_notification",
         }
         package = folder / "src" / "midstride"
@@ -61,6 +64,15 @@ class Workspace:
         return self.run(f". install/setup.bash && {command}")
 
 
+def commands() -> list[str]:
+    """The commands of the page, from the build on. `ros2 run` starts the program that it finds in lib/midstride."""
+    block = PAGE.read_text(encoding="utf-8").split("```console\n")[1].split("```")[0]
+    _, built, after = block.partition("$ colcon build")
+    assert built and "ros2 run midstride midstride check" in after
+    found = [line.removeprefix("$ ") for line in (built + after).splitlines()]
+    return [line.replace("ros2 run midstride ", "install/midstride/lib/midstride/") for line in found]
+
+
 @pytest.fixture(scope="module")
 def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("colcon")
@@ -82,7 +94,9 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_colcon_lists_builds_and_tests_the_package(tmp_path: Path, python: Path) -> None:
     workspace = Workspace(tmp_path, python)
     assert workspace.run("colcon list").split() == ["midstride", "src/midstride", "(ros.ament_python)"]
-    workspace.run("colcon build")
+    # In the repository itself, with its examples, tests and environments, there is no other.
+    assert workspace.run(f"colcon list --names-only --base-paths {ROOT}").split() == ["midstride"]
+    assert workspace.run(" && ".join(commands()))
     (site,) = workspace.install.glob("lib/python*/site-packages")
     found = {
         str(path.relative_to(site))

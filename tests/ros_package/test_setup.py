@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import midstride
+from tests.test_architecture import imported, is_ros
 from tools import changelog_rst
 
 ROOT = Path(__file__).parents[2]
@@ -61,6 +63,17 @@ def test_every_dependency_of_the_wheel_has_a_key_or_is_on_the_page() -> None:
         row = re.search(rf"^\| `{name}` \| {re.escape(bound)} \| (`{key}`|none|`{key}-pip`)", page, re.MULTILINE)
         assert row, f"{name} {bound} has no row in docs/how-to/ros-package.md"
         assert (key in keys) == (row[1] == f"`{key}`"), name
+
+
+def test_every_package_of_ros_2_that_is_imported_is_in_the_manifest() -> None:
+    keys = {element.text for element in ET.parse(ROOT / "package.xml").iter("exec_depend")}
+    found = set()
+    for file in (ROOT / "src" / "midstride" / "backends" / "ros2").rglob("*.py"):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        found |= {name.partition(".")[0] for _, name in imported(tree, "midstride", False) if is_ros(name)}
+    # Humble has none, and later ones have it with rclpy.
+    assert found - keys == {"type_description_interfaces"}
+    assert {"rclpy", "launch_ros", "composition_interfaces"} <= found
 
 
 def test_markdown_becomes_restructuredtext() -> None:
