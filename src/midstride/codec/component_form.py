@@ -225,14 +225,18 @@ class ContainerForm(Form, frozen=True):
         return ContainerProgram(self.run, self.package)
 
 
+Prefix: TypeAlias = Annotated[str, field("a command", "the words before its program", min_length=1)]
+Environment: TypeAlias = Annotated[
+    dict[str, str | None],
+    field("an object of variables", "variables of its process; null: not inherited"),
+]
+
+
 class SharedProgramForm(ContainerForm, frozen=True):
     """The program of a container that several nodes share, with how its process is started and ended."""
 
-    prefix: Annotated[str, field("a command", "the words before its program", min_length=1)] | UnsetType = UNSET
-    environment: Annotated[
-        dict[str, str | None],
-        field("an object of variables", "variables of its process; null: not inherited"),
-    ] = {}
+    prefix: Prefix | UnsetType = UNSET
+    environment: Environment = {}
     takes_seconds: SecondsOrZero | UnsetType = UNSET
     stop_seconds: StopForm | UnsetType = UNSET
 
@@ -262,11 +266,8 @@ class ComponentForm(Form, frozen=True):
     run: Annotated[str, field("a command", "the command that starts it; none: started elsewhere")] | UnsetType = UNSET
     package: Annotated[str, field("a package", "the ROS 2 package of its program", min_length=1)] | UnsetType = UNSET
     container: Annotated[ContainerForm, Meta(description="`run` is a class that this loads")] | UnsetType = UNSET
-    prefix: Annotated[str, field("a command", "the words before its program", min_length=1)] | UnsetType = UNSET
-    environment: Annotated[
-        dict[str, str | None],
-        field("an object of variables", "variables of its process; null: not inherited"),
-    ] = {}
+    prefix: Prefix | UnsetType = UNSET
+    environment: Environment = {}
     takes_seconds: SecondsOrZero | UnsetType = UNSET
     activate_seconds: (
         Annotated[PositiveSeconds, Meta(description="how long a lifecycle node may take to activate")] | UnsetType

@@ -42,6 +42,7 @@ from midstride.foreign.page_layout import (
     RequestsStep,
     version_of,
 )
+from midstride.foreign.whole_file import write_whole
 from midstride.node.handover.baton import BatonStep, BatonWord
 from midstride.wire.state import GoalCounts
 
@@ -459,12 +460,7 @@ class Page:
                 break
             size -= oldest.stat().st_size
             oldest.unlink()
-        try:
-            new = path.with_suffix(".new")
-            new.write_bytes(response)
-            new.replace(path)
-        except OSError as error:
-            raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
+        write_whole(path, response)
 
     # -- what its processes do -------------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ import msgspec
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError
+from midstride.foreign.whole_file import write_whole
 from midstride.model.instance_names import dotted_name
 from midstride.wire.state import GateState, WireValue
 
@@ -76,13 +77,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
 
     def write(self, folder: Path) -> None:
         """Replace the file of this instance. Raises BackendError."""
-        path = _path(folder, self.instance)
-        try:
-            new = path.with_suffix(".new")
-            new.write_bytes(msgspec.json.encode(self))
-            new.replace(path)
-        except OSError as error:
-            raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
+        write_whole(_path(folder, self.instance), msgspec.json.encode(self))
 
     @classmethod
     def read(cls, folder: Path, instance: str) -> ForeignRecord | None:

@@ -17,6 +17,7 @@ import msgspec
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, NodeError
+from midstride.foreign.whole_file import write_whole
 from midstride.model.component import ComponentSpec, StopTimes
 from midstride.model.instance_names import PRIVATE_NAMES, dotted_name
 from midstride.wire.state import WireValue
@@ -61,11 +62,9 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
         """Raises BackendError."""
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            new = path.with_suffix(".new")
-            new.write_bytes(msgspec.json.encode(self))
-            new.replace(path)
         except OSError as error:
             raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
+        write_whole(path, msgspec.json.encode(self))
 
     @classmethod
     def read(cls, path: Path) -> RelayOrder:

@@ -29,7 +29,7 @@ def launched_values(given: ParametersGiven, text: str, role: str) -> Mapping[str
         loaded = yaml.safe_load(text)
         sections = dict(_sections(loaded, ()))
         stated = {**(sections.get("**") or {}), **(sections.get(role) or {})} if sections else loaded
-        values = dict(_flat("", stated or {}))
+        values = dict(flat(stated or {}))
         if given.path is None:
             return values
         return {name: _read_again(value, yaml.safe_load) for name, value in values.items()}
@@ -47,10 +47,11 @@ def _sections(stated: Any, names: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
             yield from _sections(value, (*names, key.lstrip("/")))
 
 
-def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The parameters of nested ``values``: a dot between the names."""
     for name, value in values.items():
         if isinstance(value, Mapping):
-            yield from _flat(f"{prefix}{name}.", value)
+            yield from flat(value, f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value
 

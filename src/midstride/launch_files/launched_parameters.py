@@ -6,7 +6,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
@@ -16,7 +16,7 @@ from midstride.lang.rcl_parameters import ParameterValueAt
 from midstride.lang.source import Source, Span
 from midstride.lang.yaml_events import InvalidYaml
 from midstride.launch_files.allowed_files import ReadableFiles
-from midstride.launch_files.component_parameters import launched_values
+from midstride.launch_files.component_parameters import flat, launched_values
 from midstride.launch_files.context import ParametersGiven
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
@@ -54,9 +54,7 @@ def written_file(section: str, values: Mapping[str, Any]) -> str:
     """A parameter file with one section, as launch writes it: with nested values under dotted names."""
     import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
 
-    return str(
-        yaml.safe_dump({section: {"ros__parameters": dict(_flat("", values))}}, allow_unicode=True, width=100_000)
-    )
+    return str(yaml.safe_dump({section: {"ros__parameters": dict(flat(values))}}, allow_unicode=True, width=100_000))
 
 
 class ParameterReader:
@@ -324,14 +322,6 @@ class ParameterReader:
         if given.path is None:
             return f"the file that launch writes is left out, as ROS refuses it: {refused.message}"
         return f"`{name}` is left out: line {refused.position[0]} is not of a parameter file that can be read"
-
-
-def _flat(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(f"{prefix}{name}.", value)
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _for_all(values: Mapping[str, ParameterValue], span: Span) -> _Read:

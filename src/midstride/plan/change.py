@@ -8,7 +8,7 @@ contract differs is a new topic, which during the plan has a separate identity b
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from immutables import Map
@@ -68,6 +68,11 @@ class Change:
     detours: tuple[Detour, ...] = ()
     stand_ins: Map[str, Instance] = field(default_factory=Map)
     direct: Change | None = None
+
+    @classmethod
+    def none(cls, specification: Specification, running: Configuration, measured: Mapping[str, Estimate]) -> Change:
+        """The change that changes nothing of what runs."""
+        return cls(specification, specification, running, running, running, running, measured=Map(measured))
 
     def instances(self) -> list[str]:
         """The instances with structural changes."""

@@ -16,6 +16,7 @@ import random
 from collections.abc import Callable, Coroutine
 from typing import Any, Final, Protocol, TypeVar
 
+from midstride.backends.simulator.virtual_loop import run_at_once
 from midstride.errors import BackendError
 
 T = TypeVar("T")
@@ -119,13 +120,7 @@ class SeededLoop(asyncio.AbstractEventLoop):
         heapq.heappush(self._timers, (when, self.random.random(), self._count, handle))
         return handle
 
-    def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]
-        future = self.create_future()
-        try:
-            future.set_result(func(*args))
-        except Exception as error:
-            future.set_exception(error)
-        return future
+    run_in_executor = run_at_once  # type: ignore[assignment]
 
     def call_exception_handler(self, context: dict[str, Any]) -> None:
         self.errors.append(context)

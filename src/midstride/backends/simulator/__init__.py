@@ -7,7 +7,7 @@ from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop, ru
 
 PUBLIC = (
     "CooperativeThread Ended ProcessOutput RequestFault SUCCEEDED ServiceObserver SimulatedProcess "
-    "SimulatedProgram SimulatedRequest SimulatedWriter Simulator ThreadYield UNKNOWN beside"
+    "SimulatedProgram SimulatedRequest SimulatedWriter Simulator ThreadYield UNKNOWN beside run_at_once"
 )
 
 __all__ = ["PacedLoop", "Simulator", "VirtualLoop", "run_paced"]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-
-from immutables import Map
+from dataclasses import replace
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
@@ -23,15 +22,7 @@ def restore(
     measured: Mapping[str, Estimate],
 ) -> Plan:
     """The upgrades to the better ``modes``, upstream first. ``modes`` are valid in ``configuration``."""
-    change = Change(
-        specification=specification,
-        target=specification,
-        origin=configuration,
-        start=configuration,
-        baseline=configuration,
-        final=configuration.with_modes(dict(modes)),
-        pending=tuple(sorted(modes)),
-        measured=Map(measured),
-    )
+    raised = configuration.with_modes(dict(modes))
+    change = replace(Change.none(specification, configuration, measured), final=raised, pending=tuple(sorted(modes)))
     levels = Levels(change)
     return Plan.of("minimal", PlanBuilder.at_start(levels).raise_to(dict(modes)).steps, levels)

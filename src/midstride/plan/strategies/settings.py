@@ -33,15 +33,7 @@ def set_parameters(
     What a node has already is not set. Raises PlanRefused with each parameter that a node does not have, and each value
     of another type than it has: no node is asked then.
     """
-    change = Change(
-        specification=specification,
-        target=specification,
-        origin=configuration,
-        start=configuration,
-        baseline=configuration,
-        final=configuration,
-        measured=Map(measured),
-    )
+    change = Change.none(specification, configuration, measured)
     instances = {each.role: each.name for each in configuration.instances.values() if each.name in known}
     if faults := [fault for role, values in asked for fault in _faults(role, values, known[instances[role]])]:
         raise PlanRefused("; ".join(faults))

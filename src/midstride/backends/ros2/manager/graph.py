@@ -256,8 +256,7 @@ class Graph:
         controlled = filter(None, map(names.controlled, seen))
         nodes = seen & {full_name, *(found.node for found in controlled if found.instance == full_name)}
         infos = [info for node in nodes for _, _, info in self._of_node(node)]
-        instances = self._instances_of(map(self._process, infos))
-        return (info for info in infos if self._name(info, instances) == full_name)
+        return (info for info, name in self._named(infos) if name == full_name)
 
     def _of_node(self, node: str) -> Iterator[tuple[bool, str, Any]]:
         """Each endpoint of every node of that name: whether it is an output, its topic, and the endpoint itself.
@@ -289,9 +288,7 @@ class Graph:
 
     def lingering_readers(self, topic: str) -> int:
         """How many subscriptions of dead processes the graph still shows on ``topic``."""
-        infos = self._subscriptions(topic)
-        instances = self._instances_of(map(self._process, infos))
-        return sum(not self._lives(info, self._name(info, instances)) for info in infos)
+        return sum(not self._lives(info, name) for info, name in self._named(self._subscriptions(topic)))
 
     def publisher_ids(self, topic: str, instance: str) -> frozenset[str] | None:
         """The identities of the publishers of a living instance; None where they cannot be told from another's.
@@ -300,16 +297,18 @@ class Graph:
         """
         if self.rmw.participant is None or not self.rmw.shares_identities:
             return None
-        infos = self._publishers(topic)
-        instances = self._instances_of(map(self._process, infos))
-        own = (info for info in infos if self._name(info, instances) == instance and self._lives(info, instance))
+        named = self._named(self._publishers(topic))
+        own = (info for info, name in named if name == instance and self._lives(info, name))
         return frozenset(map(port_endpoints.identity_of, own))
 
     def living_publishers(self, topic: str) -> list[Any]:
         """The publishers on ``topic`` whose process is not known to be dead."""
-        infos = self._publishers(topic)
+        return [info for info, name in self._named(self._publishers(topic)) if self._lives(info, name)]
+
+    def _named(self, infos: Sequence[Any]) -> list[tuple[Any, str]]:
+        """Each endpoint with the name that it is shown under."""
         instances = self._instances_of(map(self._process, infos))
-        return [info for info in infos if self._lives(info, self._name(info, instances))]
+        return [(info, self._name(info, instances)) for info in infos]
 
     def _visible(self, infos: list[Any], instances: _Instances) -> list[str]:
         named = [(info, self._name(info, instances)) for info in infos if not names.is_hidden(_node(info))]
