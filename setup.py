@@ -1,11 +1,12 @@
 """The build as a ROS package, by colcon; the wheel is built from pyproject.toml (docs/how-to/ros-package.md).
 
 Everything is said here, as Ubuntu 22.04's setuptools ignores [project]; later ones are told to.
-The version has one place, package.xml, and a test compares the rest with the wheel.
+The version has one place, package.xml, entry points another, pyproject.toml, and tests compare the rest with the wheel.
 """
 
 import glob
 import os
+import re
 import xml.etree.ElementTree as ET
 
 from setuptools import Distribution, find_packages, setup
@@ -37,6 +38,19 @@ def files(folder):
     return sorted(glob.escape(name) for name in found if not name.endswith((".pyc", ".pyo")))
 
 
+def entry_points():
+    """Those of pyproject.toml, read as text: Python 3.10 has no reader of TOML."""
+    with open(os.path.join(ROOT, "pyproject.toml"), encoding="utf-8") as file:
+        text = file.read()
+    sections = re.findall(r'^\[project\.(?:scripts|entry-points\."(.+)")\]\n((?:.+ = ".+"\n)+)', text, re.MULTILINE)
+    return {
+        group or "console_scripts": [
+            f"{name} = {value}" for name, value in re.findall(r'^"?([^" ]+)"? = "(.+)"', lines, re.MULTILINE)
+        ]
+        for group, lines in sections
+    }
+
+
 packages = find_packages(os.path.join(ROOT, "src"))
 package_dir = {"": "src"}
 package_data = {"midstride": files("src/midstride")}
@@ -64,8 +78,5 @@ setup(
         ("bin", ["ros/bin/midstride"]),
     ],
     zip_safe=False,
-    entry_points={
-        "console_scripts": ["midstride = midstride.cli:main"],
-        "launch.frontend.launch_extension": ["midstride = midstride.launch"],
-    },
+    entry_points=entry_points(),
 )

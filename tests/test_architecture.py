@@ -135,6 +135,8 @@ def violations(source: str, module: str, is_package: bool = False) -> list[str]:
             continue
         if is_ros(name) and package != "backends":
             found.append(f"{where}: only 'backends' imports a ROS library ({name})")
+        elif top == "ros2cli" and module != f"{PACKAGE}.cli.ros2_command":
+            found.append(f"{where}: only cli/ros2_command.py imports ros2cli")
         elif package in OUTSIDE and top not in OUTSIDE[package]:
             found.append(f"{where}: {package!r} may not import {top!r}")
         elif package == "model" and top in IMPURE:
@@ -354,6 +356,7 @@ def test_no_two_modules_share_a_name() -> None:
         ("midstride.cli", "from midstride.server import app\nfrom midstride.backends import ros2"),
         ("midstride", "from midstride.node import Component"),
         ("midstride.verify.run", "import subprocess"),
+        ("midstride.cli.ros2_command", "from ros2cli.verb import VerbExtension"),
     ],
 )
 def test_what_is_allowed(module: str, source: str) -> None:
@@ -392,6 +395,7 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("midstride.server.http_app", "from midstride.node import Component", "may not import 'node'"),
         ("midstride.plan.strategies.paper", "from midstride import Component", "may not import 'midstride'"),
         ("midstride.verify.export", "import subprocess", "verify/run.py"),
+        ("midstride.cli.commands.up", "from ros2cli.cli import main", "only cli/ros2_command.py"),
         ("midstride.attic.old", "", "has no rule"),
     ],
 )

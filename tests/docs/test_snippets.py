@@ -108,6 +108,9 @@ class Session:
         python = command.with_name("python3")  # the one that has ROS, as on a machine where ROS is set up
         python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
         python.chmod(0o755)
+        ros2 = command.with_name("ros2")
+        ros2.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{ROOT}/tests/ros2_command/ros2.py" "$@"\n')
+        ros2.chmod(0o755)
         self.environment = {
             **{name: value for name, value in os.environ.items() if name != "MIDSTRIDE_DEMO"},
             "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}",

@@ -34,6 +34,12 @@ class InstalledPackage(unittest.TestCase):
                 done = subprocess.run([program, "check", file], capture_output=True, text=True, timeout=60, check=False)
                 assert done.returncode == status, done.stdout + done.stderr
 
+    def test_ros2_finds_the_command_and_its_verbs(self) -> None:
+        assert [each.value for each in entry_points(group="ros2cli.command", name="midstride")] == [
+            "midstride.cli.ros2_command:MidstrideCommand"
+        ]
+        assert {"check", "import", "up"} <= {each.name for each in entry_points(group="midstride.verb")}
+
     def test_launch_finds_the_extension(self) -> None:
         found = {each.name: each.value for each in entry_points(group="launch.frontend.launch_extension")}
         assert found.get("midstride") == "midstride.launch"

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from configparser import ConfigParser
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -107,7 +108,8 @@ def test_colcon_lists_builds_and_tests_the_package(tmp_path: Path, python: Path)
     (metadata,) = site.glob("midstride-*.egg-info/entry_points.txt")
     entries = ConfigParser()
     entries.read(metadata)
-    assert dict(entries["console_scripts"]) == {"midstride": "midstride.cli:main"}
+    built = {(group, *entry) for group in entries.sections() for entry in entries[group].items()}
+    assert built == {(entry.group, entry.name, entry.value) for entry in distribution("midstride").entry_points}
     assert workspace.sourced("which midstride").strip() == str(workspace.install / "bin" / "midstride")
     assert "_midstride_completion" in workspace.sourced("complete -p midstride")
     assert str(site) in workspace.sourced("python -c 'import midstride; print(midstride.__file__)'")

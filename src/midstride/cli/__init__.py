@@ -18,8 +18,8 @@ PUBLIC = "Demo DemoEnvironment cancelled_by_signals demo_environment matching"
 _GC_THRESHOLD = 50_000
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status."""
+def main(arguments: Sequence[str] | None = None, program: str = "midstride") -> int:
+    """Run one command and return its exit status. Help and errors about its use name ``program``."""
     from midstride.cli.output import printable_output
 
     gc.set_threshold(_GC_THRESHOLD, *gc.get_threshold()[1:])
@@ -31,10 +31,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return complete(cli, instruction)
     with printable_output():
-        return _run(words)
+        return _run(words, program)
 
 
-def _run(words: list[str]) -> int:
+def _run(words: list[str], program: str) -> int:
     import click
 
     from midstride.cli.command_list import cli
@@ -42,11 +42,11 @@ def _run(words: list[str]) -> int:
     from midstride.errors import MidstrideError
 
     try:
-        status = cli.main(words, prog_name="midstride", standalone_mode=False)
+        status = cli.main(words, prog_name=program, standalone_mode=False)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except (click.Abort, KeyboardInterrupt):
-        print("\nmidstride: interrupted", file=sys.stderr)
+        print(f"\n{program}: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader has closed the pipe, as `head` does
         _discard_output()
@@ -56,7 +56,7 @@ def _run(words: list[str]) -> int:
 
         if isinstance(error, OSError) and error.filename is None:
             _discard_output()
-        return report(error, words)
+        return report(error, words, program)
 
 
 def _replace_closed_streams() -> None:

@@ -20,8 +20,8 @@ _CLICK_TYPE: Final = re.compile(r"is not a valid (integer|float)( range)?$")
 _NUMBERS: Final = {"integer": "whole number", "float": "number"}
 
 
-def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str]) -> int:
-    """Report why the command ``words`` failed. The exit status: NO or USAGE."""
+def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str], program: str = "midstride") -> int:
+    """Report why the command ``words`` of ``program`` failed. The exit status: NO or USAGE."""
     # Of click 8.2 and later; before, a command without arguments prints its help and ends.
     without_arguments: Any = getattr(click.exceptions, "NoArgsIsHelpError", ())
     if isinstance(error, without_arguments):
@@ -29,10 +29,10 @@ def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[s
         print(error.format_message(), file=sys.stderr)
         return USAGE
     if isinstance(error, click.UsageError):
-        path = error.ctx.command_path if error.ctx is not None else "midstride"
+        path = error.ctx.command_path if error.ctx is not None else program
         message = error.format_message().rstrip(".")
         if isinstance(error, click.NoSuchOption) and error.option_name == "--include-path":
-            message += "; it comes before the command: `midstride --include-path DIR …`"
+            message += f"; it comes before the command: `{program} --include-path DIR …`"
         parameters = error.ctx.command.params if error.ctx is not None else []
         if message.startswith("Got unexpected extra argument") and any(each.name == "system" for each in parameters):
             message += "; a system is named with --system NAME"
@@ -46,7 +46,7 @@ def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[s
         lines = [str(problem) for problem in error.problems]
     else:
         lines = [str(error.args[0]) if error.args else type(error).__name__]
-    path = " ".join(["midstride", *_command(words)])
+    path = " ".join([program, *_command(words)])
     _report("\n".join(f"{path}: {line}" for line in lines), type(error).__name__, "\n".join(lines), words)
     return NO
 

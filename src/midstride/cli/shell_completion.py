@@ -92,6 +92,14 @@ class _Fish(_WholeWord, FishComplete):
     pass
 
 
+def candidates(cli: click.Command, words: list[str], incomplete: str) -> list[CompletionItem[str]]:
+    """Words that may follow the ``words`` of a line, for one that is typed so far. An error means no candidates."""
+    try:
+        return _WholeWord(cli, {}, "midstride", VARIABLE).get_completions(words, incomplete)
+    except Exception:
+        return []
+
+
 # -- candidates -------------------------------------------------------------------------------------------
 
 
