@@ -9,7 +9,6 @@ import time
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace as replaced
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -21,12 +20,11 @@ from midstride.backends.ros2.manager.component_containers import LoadRequest, co
 from midstride.backends.ros2.manager.own_names import OwnNames, StartName
 from midstride.backends.ros2.manager.parameter_file import parameter_file
 from midstride.backends.ros2.manager.process_nodes import AskedProcess
+from midstride.backends.ros2.manager.relays import Relays
 from midstride.backends.ros2.manager.shared_processes import SharedProcess
 from midstride.backends.ros2.manager.start_arguments import (
     ENV_NODE,
     ENV_PAGE,
-    StartArguments,
-    enclave_for,
     loads_library,
 )
 from midstride.backends.ros2.names import InstanceNode, enclave_of, system_tag
@@ -45,7 +43,6 @@ from midstride.foreign.own_node_search import NODE_LOOK, OwnNodeSearch
 from midstride.foreign.page import PAGE, Page, kept_results
 from midstride.foreign.preloading import PRELOAD, StartedPrograms
 from midstride.foreign.record import ForeignRecord
-from midstride.foreign.relayed_program import RelayOrder, order_file, private_topics
 from midstride.foreign.reported_states import ReportedStates
 from midstride.foreign.services import NodeServices
 from midstride.foreign.sharing_components import forget_component, share_requests
@@ -105,19 +102,21 @@ class ForeignNodes:
         self._reported = ReportedStates()
         self._page: Page | None = None
         self._agents: dict[str, ForeignAgent] = {}
-        # By instance that has a relay, the full name of its program's node; empty until it is known.
-        self._relayed: dict[str, str] = {}
-        self._unfound: set[str] = set()  # those of them whose relay has still to find the node
-        self.names: set[str] = set()  # the full names of their ROS nodes, also of those that have ended
+        self._names: set[str] = set()  # the full names of their ROS nodes, also of those that have ended
         self._closing: set[asyncio.Task[None]] = set()
         self._own_names = OwnNames(folder)
-        self._arguments = StartArguments(folder)
+        self._relays = Relays(folder, self._own_names)
         self._finding: dict[str, asyncio.Task[None]] = {}
         self._nodes_in = nodes_in
         self._addressed = addressed
         self._load = load
         self._failed = failed
         self.tells_processes = False  # whether the graph tells which process an endpoint belongs to
+
+    @property
+    def names(self) -> set[str]:
+        """The full names of their ROS nodes, also of those that have ended, and of those behind relays."""
+        return self._names | self._relays.names
 
     def start_name(
         self, launch: Launch, component: ComponentSpec, runs: Callable[[str], bool], owner: Callable[[str], str] = str
@@ -267,26 +266,7 @@ class ForeignNodes:
         environment: Mapping[str, str | None],
     ) -> Path:
         """The file of the order of a relay; the arguments are those of :class:`RelayOrder`. Raises BackendError."""
-        node = name.full or full_name(launch.instance, launch.namespace)
-        topics = topics_of(component, node, launch.topics) | private_topics(component, launch.instance)
-        order = RelayOrder(
-            command=[*command, *self._arguments.of(replaced(launch, topics=topics), component, name)],
-            node=name.full,
-            declaration=NamedComponentForm.of(component),
-            topics=topics,
-            environment=dict(environment),
-            real={port: topic for port, topic in launch.topics.items() if component.has_output(port)},
-            stated=json_values(launch.parameters),
-            taken_over=json_values(launch.set_parameters),
-            enclave=enclave_for(launch, component),
-            unnamed=not name.passed,
-            role=launch.role,
-            predecessor=self._lifecycle_node(launch),
-        )
-        path = order_file(self._folder, launch.instance)
-        order.write(path)
-        self._relays(launch.instance, order)
-        return path
+        return self._relays.prepare(launch, component, name, command, environment, self._lifecycle_node(launch))
 
     def _lifecycle_node(self, launch: Launch) -> str:
         """The full name of the lifecycle node that an instance replaces; empty where there is none."""
@@ -317,25 +297,6 @@ class ForeignNodes:
             return None
         return frozenset(each for each in found if not record.container or not each.startswith(f"{record.container}/"))
 
-    def _relays(self, instance: str, order: RelayOrder) -> None:
-        if order.enclave:
-            self._unfound.add(instance)
-        self._relayed[instance] = order.node
-        if order.node:
-            self.names.add(order.node)
-
-    def _relay_has_found(self, instance: str) -> None:
-        """Read from its order the name of the program's node: a relay that reports has written it there."""
-        try:
-            order = RelayOrder.read(order_file(self._folder, instance))
-            if order.unnamed and order.node:
-                self._own_names.note(order.role, order.node)
-        except BackendError as error:
-            log.error("how the node of %s is called is not known: %s", instance, error)
-            return
-        self._relays(instance, order)
-        self._unfound.discard(instance)
-
     async def _opened(self, environment: Mapping[str, str]) -> tuple[Page, Path]:
         library = await asyncio.to_thread(build.library, environment)
         if self._page is None:
@@ -353,19 +314,18 @@ class ForeignNodes:
 
     def note(self, state: ComponentState) -> None:
         """A component has reported this."""
-        if state.instance in self._unfound:
-            self._relay_has_found(state.instance)
+        self._relays.reported(state.instance)
         # With an agent here, what it says of `/clock` comes from here as well.
         self._reported.note(state, has_agent=state.instance not in self._agents)
 
     def runs(self, node: str) -> bool:
         """Return whether a process without Midstride's API has the ROS node of this full name."""
-        return node in self._relayed.values() or any(a.node.record.node == node for a in self._agents.values())
+        return self._relays.runs(node) or any(a.node.record.node == node for a in self._agents.values())
 
     def runs_unmarked(self, node: str) -> bool:
         """Return whether a process has this node, and no mark by which the graph tells it from others."""
         records = (agent.node.record for agent in self._agents.values())
-        return node in self._relayed.values() or any(each.node == node and not self._mark(each) for each in records)
+        return self._relays.runs(node) or any(each.node == node and not self._mark(each) for each in records)
 
     def unwritten(self) -> str | None:
         """Why the record of one of them could not be written."""
@@ -437,7 +397,7 @@ class ForeignNodes:
         """The full name of the node of an instance, once it is known; of a relay, that of its program's."""
         if (agent := self._agents.get(instance)) is not None:
             return agent.node.record.node
-        return self._relayed.get(instance)
+        return self._relays.node_of(instance)
 
     def _node_name(self, instance: str, namespace: str) -> str:
         return self.node_of(instance) or full_name(instance, namespace)
@@ -447,7 +407,7 @@ class ForeignNodes:
         return [self._process(instance) for instance in instances]
 
     def _process(self, instance: str) -> AskedProcess:
-        if (node := self._relayed.get(instance)) is not None:
+        if (node := self._relays.node_of(instance)) is not None:
             return AskedProcess(instance, node, programs=2)
         if (agent := self._agents.get(instance)) is None:
             return AskedProcess(instance)
@@ -542,8 +502,7 @@ class ForeignNodes:
                 except BackendError as error:
                     raise BackendError(f"{instance} cannot be answered for: {error}") from None
             await self._answer_once_known(record)
-        with suppress(BackendError):
-            self._relays(instance, RelayOrder.read(order_file(self._folder, instance)))
+        self._relays.adopt(instance)
 
     async def _answer(self, record: ForeignRecord) -> None:
         gates, requests, component = None, None, record.declaration.declared()
@@ -551,7 +510,7 @@ class ForeignNodes:
             requests = Gates(self._page, record.index, of_services(component))
             if component.preloads:
                 gates = requests = Gates(self._page, record.index, of_topics(component))
-        self.names.add(record.node)
+        self._names.add(record.node)
         old = self._agents.get(record.replaces)
         before = None
         if self._graph is not None and record.predecessor:
@@ -603,11 +562,9 @@ class ForeignNodes:
             task.cancel()
         self._managers.starting.pop(instance, None)
         self._peers.nodes.pop(instance, None)
-        self._unfound.discard(instance)
         if self._page is not None:
             forget_component(self._page, instance)
-        if self._relayed.pop(instance, None) is not None:
-            order_file(self._folder, instance).unlink(missing_ok=True)
+        self._relays.gone(instance)
         if (agent := self._agents.pop(instance, None)) is not None:
             record = agent.node.record
             in_background(agent.close(), self._closing)
