@@ -420,6 +420,8 @@ def test_problems_are_told_with_a_json_pointer() -> None:
         ("SCAN", ["/scan"], "did you mean `/scan`?"),
         ("best", ["reliable", "best_effort"], "did you mean `best_effort`?"),
         ("xyz", ["b", "a"], "known: a, b"),
+        ("xyz", [*"abcdefgh"], "known: a, b, c, d, e, f, g, h"),
+        ("xyz", [*"abcdefghi"], "known: a, b, c, d, e, f, g, h, …"),
         ("xyz", [], ""),
     ],
 )

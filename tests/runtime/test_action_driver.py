@@ -26,6 +26,7 @@ from midstride.model.action import (
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
 from midstride.model.specification import Specification
+from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT, HELD_LONGER, lower_modes
 from midstride.runtime.change_observer import ChangeObserver
 from midstride.runtime.handover.fences import DEFAULT_WAIT
@@ -221,6 +222,20 @@ def test_nothing_is_taken_from_a_process_that_has_ended(action: Action, tmp_path
         assert b.client.sent == [] and b.backend.ended == []
 
     bench(talking(), tmp_path, body)
+
+
+@pytest.mark.parametrize(("log", "said"), [("", ""), ("no camera\n", ":\nno camera")])
+def test_what_is_replaced_stays_where_its_successor_has_exited(log: str, said: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        plan = b.change.plan
+        b.change.plan = changed(plan, change=changed(plan.change, replaced=Map(talker="talker_2")))
+        b.system.life.exited(Exited("talker_2", 3, log))
+        with pytest.raises(StepFailed) as failed:
+            await perform(b, Remove("talker"))
+        assert str(failed.value) == f"talker_2, which replaces talker, exited with status 3{said}"
+        assert b.backend.ended == []
+
+    bench(replacing(), tmp_path, body)
 
 
 @pytest.mark.parametrize("action", [Detach(OUT, "/chatter"), Degrade(Map({work("talker"): 1}))])

@@ -144,6 +144,7 @@ def test_a_change_moves_configuration_and_specification_on_and_is_measured(tmp_p
         outcome = await s.session.change(REPLACEMENT)
         assert (outcome.outcome, outcome.because, outcome.below_baseline_seconds) == ("done", None, {})
         assert outcome.verdict is UNSET and s.verifier.judged == []
+        assert s.client.listeners == [s.reconciler.on_component_event], "none of those that followed the change"
         target = TALKER.with_node(changed(TALKER.nodes["talker"], component="NewTalker"))
         assert s.system.specification == target
         assert sorted(s.system.configuration.instances) == ["listener", "talker_2"]

@@ -69,6 +69,18 @@ def test_a_command_knows_whether_another_one_waits_also_one_that_is_given_up() -
     run(main())
 
 
+def test_the_command_in_progress_is_shown_with_how_long_it_has_run() -> None:
+    async def main() -> None:
+        commands = await queue()
+        await asyncio.sleep(2)
+        async with commands.run("change"):
+            await asyncio.sleep(1.5)
+            assert commands.running == RunningCommand("change", 1.5)
+        assert commands.running is None
+
+    run(main())
+
+
 def test_listeners_are_called_when_a_command_has_ended_and_before_the_next_one_begins() -> None:
     async def main() -> None:
         commands, seen = await queue(), list[tuple[str | None, bool]]()

@@ -83,6 +83,13 @@ def test_a_console_script_is_followed_to_its_entry_point_and_within_its_package(
     assert {os.path.relpath(path, installed) for path in found[1:]} == BEHIND
 
 
+def test_an_entry_point_that_is_not_named_in_the_script_is_not_followed(tmp_path: Path) -> None:
+    installed = planted(tmp_path / "prefix" / "lib" / "python3.11" / "site-packages")
+    program = tmp_path / "talker"
+    program.write_text(SETUPTOOLS.replace("'demo==0.0.0', 'console", "name, 'console"), encoding="utf-8")
+    assert followed(str(program), [str(installed)]) == [str(program)]
+
+
 def test_what_is_followed_is_what_python_imports(tmp_path: Path) -> None:
     """The slow twin: the script is run, and says which modules it has imported."""
     installed = planted(tmp_path / "modules")

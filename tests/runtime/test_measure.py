@@ -245,6 +245,16 @@ def test_a_last_message_late_by_more_than_a_period_is_not_taken_for_two_faults(l
     assert (seen.missed, seen.lost, seen.duplicates) == (0, 0, 0)
 
 
+def test_a_late_last_message_is_no_fault_either_where_the_old_one_was_heard_twice() -> None:
+    recorder = Recorder()
+    for slot in (38, 39):
+        recorder.write("old", slot, late=22 * MS if slot == 39 else 0)
+    for slot in range(40, 80):
+        recorder.write("new", slot)
+    seen = recorder.observe(35, 80, last=2)
+    assert (seen.lost, seen.duplicates) == (0, 0)
+
+
 def test_an_early_first_message_is_not_taken_for_two_faults() -> None:
     recorder = Recorder()
     for slot in range(40):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import os
 import signal
 import subprocess
@@ -451,6 +452,20 @@ def test_what_a_debugger_holds_is_ended(
             await asyncio.sleep(0.005)
 
     asyncio.run(asyncio.wait_for(main(), 15))
+
+
+def test_orphans_are_adopted_until_the_last_one_that_asked_for_it_has_ended() -> None:
+    def adopts() -> bool:
+        found = ctypes.c_int()
+        assert ctypes.CDLL(None).prctl(37, ctypes.byref(found), 0, 0, 0) == 0  # PR_GET_CHILD_SUBREAPER
+        return bool(found.value)
+
+    assert not adopts()
+    with process_module.adopting_orphans():
+        with process_module.adopting_orphans():
+            assert adopts()
+        assert adopts()
+    assert not adopts()
 
 
 def test_one_that_is_no_longer_watched_is_ended(tmp_path: Path, token: str) -> None:

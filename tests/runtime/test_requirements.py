@@ -196,6 +196,18 @@ def test_it_is_overridden_deliberately_and_the_history_says_so(tmp_path: Path) -
     run(body, tmp_path)
 
 
+def test_what_holds_is_not_said_to_be_overridden(tmp_path: Path) -> None:
+    quiet = ChangeRequirement("/speed", Predicate("std_msgs/msg/Float64", fields=RELEASED.assumption.fields))
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        await EmergencyStop(simulator).says(True)
+        assert await outcome(manager, override=Override(requirements=True)) == "done"
+        [words] = await incidents(manager, "override")
+        assert "/speed" in words and TOPIC not in words
+
+    run(body, tmp_path, requiring(RELEASED, quiet))
+
+
 @pytest.mark.parametrize("recovery", [False, True])
 def test_recovery_goes_on_unless_it_requires_it_as_well(tmp_path: Path, recovery: bool) -> None:
     specification = requiring(changed(RELEASED, recovery=recovery))
