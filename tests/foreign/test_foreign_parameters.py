@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -332,11 +333,18 @@ class Offered:
 
     offers = False
 
+    def __init__(self) -> None:
+        self.values: dict[str, Any] = {"gain": 2}
+
     def offers_parameters(self) -> bool:
         return self.offers
 
     async def parameters(self, timeout: float) -> dict[str, Any]:
-        return {"gain": 2}
+        return dict(self.values)
+
+    async def set_parameters(self, values: Mapping[str, Any], timeout: float) -> str | None:
+        self.values |= values
+        return None
 
 
 def test_a_node_without_parameter_services_is_waited_for_once(tmp_path: Path) -> None:
@@ -353,7 +361,7 @@ def test_a_node_without_parameter_services_is_waited_for_once(tmp_path: Path) ->
         declaration=declaration,
         index=None,
         topics={},
-        modes={},
+        modes={"drive": "normal"},
     )
     node, services = ForeignNode(record, tmp_path, None, ReportedStates()), Offered()
     parameters = ForeignParameters(node, cast(ParameterAccess, services))
@@ -366,11 +374,13 @@ def test_a_node_without_parameter_services_is_waited_for_once(tmp_path: Path) ->
         assert (node.unread_parameters, round(waited, 1)) == (True, 1.0)
         begun = loop.time()
         await parameters.read()
-        with pytest.raises(CommandRefused, match=r"its node /driver offers no services for its parameters, .*nothing"):
-            await parameters.set(SetParametersCommand(parameters={"gain": 3}))
         assert (node.unread_parameters, loop.time()) == (True, begun)
-        services.offers = True
-        await parameters.read()
-        assert (node.unread_parameters, node.parameters) == (False, {"gain": 2})
+        words = r"its node /driver offers no services for its parameters that the graph has shown within 1 s; nothing"
+        with pytest.raises(CommandRefused, match=words):
+            await parameters.set(SetParametersCommand(parameters={"gain": 3}))
+        assert round(loop.time() - begun, 1) == 1.0  # each time anew, as discovery may be late
+        loop.call_later(0.5, setattr, services, "offers", True)
+        await parameters.set(SetParametersCommand(parameters={"gain": 3}))
+        assert (node.unread_parameters, node.parameters) == (False, {"gain": 3})
 
     run(body())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import random
 import subprocess
 from collections.abc import Callable, Coroutine, Iterator
@@ -17,7 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from midstride.errors import BackendError
-from midstride.foreign.page_layout import KNOWN
+from midstride.foreign.page import KnownGoal
+from midstride.foreign.page_layout import KNOWN, GoalState
 from midstride.foreign.sharing_components import place, share_requests
 from midstride.node.control import service_answering
 from midstride.node.control.service_answering import SHARE_INTERVAL, Answering
@@ -40,7 +42,7 @@ class Page:
         self.answering, self.before = answering, ""
         self.taken: set[str] = set()
         self.held: dict[str, set[str]] = {"own": set(), "other": set()}
-        self.unanswered = 0
+        self.unanswered, self.noted = 0, False
 
     def give(self, side: str) -> None:
         if self.answering != side:
@@ -66,6 +68,9 @@ class Page:
 
     def note_held(self, request: str) -> None:
         self.held["own"].add(request)
+
+    def has_noted(self) -> None:
+        self.noted = True
 
     def claimed(self, request: str) -> bool:
         return request in self.taken
@@ -203,7 +208,7 @@ def test_what_is_still_handled_when_it_joins_is_waited_for() -> None:
         assert component.admission.admit(request, lambda: None)
     component.admission.finished("1 1")
     component.admission.share(page)
-    assert (page.taken, page.unanswered) == ({"1 1", "1 2"}, 1)
+    assert (page.taken, page.unanswered, page.noted) == ({"1 1", "1 2"}, 1, True)
     component.admission.finished("1 2")
     component.admission.finished("goal 1")
     assert page.unanswered == 0
@@ -246,7 +251,9 @@ def test_it_leaves_the_page_only_in_a_moment_in_which_it_is_alone(monkeypatch: p
 
 
 def joined(lab: Lab, of: int | None = None) -> RequestsSlot:
-    return RequestsSlot(place(lab.page, share_requests(lab.page, "component", of)))
+    slot = RequestsSlot(place(lab.page, share_requests(lab.page, "component", of)))
+    slot.has_noted()
+    return slot
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -292,7 +299,6 @@ def test_of_two_nodes_with_the_library_one_claims_while_a_component_shares_the_r
 def asked(connection: Connection, where: PagePlace) -> None:
     """The component in another process: a process does not see its own locks. It does what it is asked."""
     own = RequestsSlot(where)
-    own.serve({"/count"})
     while True:
         name, *arguments = connection.recv()
         found = getattr(own, name)
@@ -325,6 +331,8 @@ def test_a_component_and_a_node_change_places(lab: Lab) -> None:
     page = lab.page
     index = share_requests(page, "component")
     with elsewhere(place(page, index)) as ask:
+        ask("serve", {"/count"})
+        ask("has_noted")
         assert ask("answers") and ask("is_alone")
         assert ask("claim", "7 1") and not ask("claim", "7 1")
         new = page.allocate("server")
@@ -347,16 +355,22 @@ def test_a_component_and_a_node_change_places(lab: Lab) -> None:
     assert share_requests(page, "component") == index, "its part is free"
 
 
+@pytest.mark.parametrize("joined", ["never", "just before"])
 @pytest.mark.parametrize("way", ["its part is taken back", "the other one is to answer"])
-def test_what_was_held_when_a_component_died_that_had_noted_nothing_is_not_answered(lab: Lab, way: str) -> None:
+def test_what_was_held_when_a_component_died_that_had_noted_nothing_is_not_answered(
+    lab: Lab, way: str, joined: str
+) -> None:
     """The component may have answered each of them. A request that arrives later is answered."""
     page = lab.page
     index = share_requests(page, "component")
     with server(lab, index) as served:
-        for _ in range(3):
-            served.does("take")
-        node, port = served.port.node - 1, served.port
-        until(lambda: port.gated == 3, "the requests are not held")
+        with contextlib.nullcontext() if joined == "never" else elsewhere(place(page, index)) as ask:
+            assert ask is None or ask("answers")
+            for _ in range(3):
+                served.does("take")
+            node, port = served.port.node - 1, served.port
+            until(lambda: port.gated == 3, "the requests are not held")
+        assert page.is_dead(index) == (joined != "never")
         if way == "its part is taken back":
             page.free(index)
         else:
@@ -368,6 +382,35 @@ def test_what_was_held_when_a_component_died_that_had_noted_nothing_is_not_answe
         assert port.passed == 1
 
 
+def test_what_had_arrived_and_was_not_taken_when_such_a_component_died_is_not_answered(lab: Lab) -> None:
+    """The component may have answered it, too; what counts is when it came, as the middleware says."""
+    page = lab.page
+    index = share_requests(page, "component")
+    with server(lab, index, FAKE_RECEIVED_MS="20000") as served:
+        port = served.port
+        page.give_requests(port.node - 1, 0.0)
+        served.does("take")
+        assert (port.passed, port.gated) == (0, 0)
+
+
+def test_a_component_that_has_noted_what_it_had_handled_leaves_the_rest_to_the_other_one(lab: Lab) -> None:
+    page = lab.page
+    index = share_requests(page, "component")
+    with server(lab, index) as served:
+        with elsewhere(place(page, index)) as ask:
+            ask("serve", {"/count"})
+            ask("note_claimed", "0 1")
+            ask("has_noted")
+            for _ in range(3):
+                served.does("take")
+            port = served.port
+            until(lambda: port.gated == 2, "two requests are not held")
+        page.give_requests(port.node - 1, 0.0)
+        for _ in range(2):
+            served.does("take")
+        assert port.passed == 2
+
+
 def test_with_a_node_that_has_ended_nothing_is_shared(lab: Lab) -> None:
     page = lab.page
     index = page.allocate("server")
@@ -375,6 +418,18 @@ def test_with_a_node_that_has_ended_nothing_is_shared(lab: Lab) -> None:
     page.free(index)
     with pytest.raises(BackendError, match="it has ended"):
         share_requests(page, "component", index)
+
+
+def test_a_node_that_has_just_ended_is_not_to_answer(lab: Lab) -> None:
+    """Its part of the page is taken back while the manager waits for others."""
+    page = lab.page
+    index = page.allocate("server")
+    page.have_requests(index)
+    page.free(index)
+    with pytest.raises(BackendError, match="the node has ended"):
+        page.give_requests(index, 0.0)
+    page.forget_goal(index, KnownGoal("/count", GoalState.ENDED, bytes(16), 0, 0))
+    assert page.answering(index) is None
 
 
 def test_what_is_noted_is_known_by_whose_it_is(lab: Lab) -> None:

@@ -275,7 +275,8 @@ def test_what_the_successor_was_seen_not_to_offer_is_said_without_an_if() -> Non
 
 def test_of_components_without_the_api_it_is_known_what_they_offer_once_the_graph_was_asked() -> None:
     plain, bare = (ComponentSpec.of(gate, run="mapper", gate=gate) for gate in ("preload", "none"))
-    instances = [Instance("seen", "seen", plain), Instance("unseen", "unseen", plain), Instance("bare", "bare", bare)]
+    instances = [Instance(name, name, plain) for name in ("seen", "unseen", "never shown")]
+    instances.append(Instance("bare", "bare", bare))
     runs = Configuration()
     for each in instances:
         runs = runs.with_instance(each)
@@ -283,6 +284,7 @@ def test_of_components_without_the_api_it_is_known_what_they_offer_once_the_grap
         each.name: LatestState(bare_state(each.name, serves=GOALS[3:4], looked=each.name != "unseen"), 0.0)
         for each in instances
     }
+    states["never shown"] = LatestState(bare_state("never shown", shown=False), 0.0)  # within GRAPH_TIMEOUT
     assert offered(states, runs) == {"seen": ["service /reset"]}
 
 

@@ -68,16 +68,18 @@ class ForeignParameters:
         self._services = services
         self._offered_by: float | None = None  # until when it may begin to offer the services, by the loop's clock
 
-    async def read(self) -> None:
+    async def read(self, *, wait: bool = False) -> None:
         """Have the state show them, or that the node does not answer.
 
-        One without the services is waited for once, READ_TIMEOUT from the first time: it may be about to offer them.
+        One without the services is waited for once, READ_TIMEOUT from the first time, or so long from now where it is
+        to ``wait``: it may be about to offer them, or discovery late.
         """
         node, clock = self._node, asyncio.get_running_loop().time
         deadline = clock() + READ_TIMEOUT
         self._offered_by = self._offered_by or deadline
+        offered_by = deadline if wait else self._offered_by
         while not self._services.offers_parameters():
-            if clock() >= self._offered_by:
+            if clock() >= offered_by:
                 node.unread_parameters = True
                 return
             await asyncio.sleep(LOOK)
@@ -114,11 +116,11 @@ class ForeignParameters:
         Values of the specification that a mode states otherwise are set when that mode is left.
         """
         node, names = self._node, command.parameters.keys()
-        await self.read()
+        await self.read(wait=True)
         if node.unread_parameters:
             words = f"has not said its parameters within {READ_TIMEOUT:g} s"
-            if not self._services.offers_parameters():  # it may not have been waited for
-                words = "offers no services for its parameters, as far as the graph shows"
+            if not self._services.offers_parameters():
+                words = f"offers no services for its parameters that the graph has shown within {READ_TIMEOUT:g} s"
             words = f"its node {node.record.node} {words}"
             raise CommandRefused(f"{node.record.instance} has not set {', '.join(names)}: {words}; nothing was set")
         before, declared = dict(node.parameters), dict(node.declared)

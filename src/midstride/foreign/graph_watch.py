@@ -114,17 +114,20 @@ class GraphWatch:
             [each.name for each in served.managers],
             [*served.calls],
             self._node.looked or bool(found) or never,
+            self._node.shown or bool(found) or served != Served(),
         )
         node = self._node
         keeps_state = self._state is not None and self._state.offers(EXPORT_STATE, served)
         if (*seen, keeps_state) != (*self._seen(), node.keeps_state):
-            node.differences, node.undeclared, node.serves, node.lifecycle_callers, node.calls, node.looked = seen
+            node.differences, node.undeclared, node.serves, node.lifecycle_callers, node.calls, *flags = seen
+            node.looked, node.shown = flags
             node.keeps_state = keeps_state
             self._report()
 
     def _seen(self) -> tuple[object, ...]:
         node = self._node
-        return node.differences, node.undeclared, node.serves, node.lifecycle_callers, node.calls, node.looked
+        own = node.differences, node.undeclared, node.serves, node.lifecycle_callers, node.calls
+        return *own, node.looked, node.shown
 
     def _undeclared(self, found: Sequence[GraphEndpoint]) -> list[UndeclaredTopic]:
         """The topics of the node that are no ports, of what the graph shows of it."""

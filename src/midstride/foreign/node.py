@@ -86,6 +86,7 @@ class ForeignNode:
         self.keeps_name: Callable[[], bool] = lambda: False  # a successor with such a gate gets its name
         self.keeps_state = False  # it offers the service that exports its state
         self.looked = True  # these are known, or nothing can know them
+        self.shown = False  # the graph has shown something of it
         # Of a lifecycle node without a gate inside: for how long its outputs have been silent in all (s).
         self.inactive: Callable[[], float] | None = None
         self.unfinished: str | None = None  # what it has left unanswered as it ends, and which goals
@@ -203,6 +204,7 @@ class ForeignNode:
             starting=self.starting,
             calls=self.calls,
             looked=self.looked,
+            shown=self.shown,
             keeps_state=self.keeps_state,
             unanswered=None if self._unanswered is None else time.monotonic() - self._unanswered,
             node=record.node,

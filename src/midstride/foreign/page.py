@@ -27,6 +27,7 @@ from midstride.foreign.page_layout import (
     NAME,
     NODE,
     NODES,
+    NOTED,
     OPEN,
     OUTPUT,
     PART_SIZES,
@@ -298,19 +299,22 @@ class Page:
         self._library.midstride_requests_step(self._address, self._file, number - 1, step, index + 1, until)
 
     def give_requests(self, index: int, patience: float) -> None:
-        """The node ``index`` is to answer from now on; the one before has ``patience`` (s) for what it has taken."""
+        """The node ``index`` is to answer from now on; the one before has ``patience`` (s) for what it has taken.
+
+        Raises BackendError where it has ended: its part of the page has been taken back.
+        """
+        if not (number := self.layout.nodes[index].requests):
+            raise BackendError("the node has ended, so it cannot answer requests")
         if (other := self.answering(index)) is not None:
             self._lose_requests(other)
-        until = time.monotonic_ns() + int(patience * 1e9)
-        self._step_requests(self.layout.nodes[index].requests, RequestsStep.GIVE, index, until)
+        self._step_requests(number, RequestsStep.GIVE, index, time.monotonic_ns() + int(patience * 1e9))
 
     def _lose_requests(self, index: int) -> None:
-        """Have no node answer what is held by now, if the node ``index`` answers and is a component that never joined.
-
-        That has noted nothing, so it may have answered each of them.
+        """Have no node answer what has arrived by now, if the node ``index`` answers and is a component that has not
+        noted what it had handled: it may have answered each of them.
         """
         node = self.layout.nodes[index]
-        if node.requests and node.used & HAS_AGENT and not node.pid and self.answering(index) is None:
+        if node.requests and node.used & (HAS_AGENT | NOTED) == HAS_AGENT and self.answering(index) is None:
             self._requests[node.requests - 1].lost = time.monotonic_ns()
 
     def pause_requests(self, index: int, longest: float) -> None:
@@ -431,8 +435,8 @@ class Page:
 
     def forget_goal(self, index: int, goal: KnownGoal) -> None:
         """Have another goal take the place of this one of the node ``index``, whose result is kept beside the page."""
-        number = self.layout.nodes[index].requests
-        self._library.midstride_forget_goal(self._address, number - 1, goal.place, goal.word)
+        if number := self.layout.nodes[index].requests:
+            self._library.midstride_forget_goal(self._address, number - 1, goal.place, goal.word)
 
     def goal_counts(self, index: int) -> GoalCounts | None:
         """Count the goals of the node ``index`` by what has become of them; None where it has had none."""

@@ -44,8 +44,8 @@ CLOSED, OPEN = range(2)
 # Of a node, in `used`. LISTS: the library adds a port for each of its topics, with an open gate. NAMES_ONE: a
 # `__node:=` for all nodes of the process names the first of them alone. LEAVES: it is about to be unloaded, and nothing
 # calls it any more. HAS_AGENT: it is a component with Midstride's API, which shares the requests to its services with a
-# node that has the library.
-IN_USE, LISTS, NAMES_ONE, LEAVES, HAS_AGENT = 1, 2, 4, 8, 16
+# node that has the library. NOTED: it has noted what it had handled before.
+IN_USE, LISTS, NAMES_ONE, LEAVES, HAS_AGENT, NOTED = 1, 2, 4, 8, 16, 32
 
 
 class PortFlag(IntFlag):

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from midstride.errors import BackendError
 from midstride.foreign.page import Page
-from midstride.foreign.page_layout import HAS_AGENT, NAME
+from midstride.foreign.page_layout import HAS_AGENT, NAME, NOTED
 from midstride.wire.replies import PagePlace
 
 
@@ -38,9 +38,8 @@ def place(page: Page, index: int) -> PagePlace:
 
 
 def has_joined(page: Page, index: int) -> bool:
-    """Return whether the node ``index`` has a process, or is none that a component joins."""
-    node = page.layout.nodes[index]
-    return bool(node.pid) or not node.used & HAS_AGENT
+    """Return whether the node ``index`` shares its requests, or is none that a component joins."""
+    return bool(page.layout.nodes[index].used & (HAS_AGENT | NOTED) != HAS_AGENT)
 
 
 def forget_component(page: Page, instance: str) -> None:

@@ -186,6 +186,7 @@ class RequestAdmission:
             for request, held in self._held.items():
                 if self._is_shared(held):
                     shared.note_held(request)
+            shared.has_noted()
 
     def _is_shared(self, held: _Held) -> bool:
         """Return whether it is claimed before it is handled, by :meth:`look`."""

@@ -19,7 +19,7 @@ BEFORE: Final = 3000
 
 
 class SharedRequests(Protocol):
-    """Each call but for the first two is for one request, by its identity: "when its client has sent it" and its number
+    """A ``request`` is identified by "when its client has sent it" and its number
     (:mod:`midstride.backends.ros2.component.admitting_node`)."""
 
     def answers(self) -> bool:
@@ -42,6 +42,10 @@ class SharedRequests(Protocol):
         """Note that it has arrived here, and is held."""
         ...
 
+    def has_noted(self) -> None:
+        """Note that all is noted that was handled here before: if this component dies, it has handled no more."""
+        ...
+
     def claimed(self, request: str) -> bool: ...
 
     def held_by_other(self, request: str) -> bool: ...
@@ -62,7 +66,7 @@ class RequestsSlot(PageSlot):
 
     def _declare(self, library: ctypes.PyDLL) -> None:
         library.midstride_serve.argtypes = [c_void_p, c_char_p]
-        for name in ("answers", "answered_before", "answered", "left_before", "is_alone"):
+        for name in ("answers", "answered_before", "answered", "left_before", "is_alone", "has_noted"):
             getattr(library, f"midstride_{name}").argtypes = [c_void_p]
         for name in ("claim_request", "note_claimed", "note_arrived", "known"):
             getattr(library, f"midstride_{name}").argtypes = [c_void_p, c_int64, c_int64]
@@ -92,6 +96,9 @@ class RequestsSlot(PageSlot):
 
     def note_held(self, request: str) -> None:
         self._call("note_arrived", *_of(request))
+
+    def has_noted(self) -> None:
+        self._call("has_noted")
 
     def claimed(self, request: str) -> bool:
         return self._call("known", *_of(request)) == 1

@@ -195,7 +195,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     which it may have sent requests and goals, and for ``unanswered``: for how long it
     has not answered its agent, which answers here (s). ``managed``: why it must not end, as a lifecycle manager would
     take all of its nodes down; ``starting``: the instances that have just been started, and may be such managers.
-    ``looked``: the graph has been asked for these since it started.
+    ``looked``: the graph has been asked for these since it started; ``shown``: it has shown something of the node.
 
     ``node``: the full name of its ROS node, None where there is none. ``keeps_name``: it has no API, and a replacement
     with a gate inside gets this name as well. ``answers``: it answers requests to the node's
@@ -239,6 +239,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     starting: list[str] = []
     calls: list[str] = []
     looked: bool = True
+    shown: bool = True
     unanswered: float | None = None
     host: str = ""
     unread_parameters: bool = False

@@ -2,6 +2,7 @@
 #include "serving.h"
 
 #include <string.h>
+#include <time.h>
 #include <unistd.h>
 
 static pthread_mutex_t client_lock = PTHREAD_MUTEX_INITIALIZER;
@@ -32,7 +33,7 @@ bool has_ended(unsigned index)
 static bool has_service(unsigned other, const struct entry *entry)
 {
   const struct node *component = &page->nodes[other - 1];
-  if (atomic_load(&component->used) & HAS_AGENT && !atomic_load(&component->pid)) /* it has not said which it has */
+  if ((atomic_load(&component->used) & (HAS_AGENT | NOTED)) == HAS_AGENT) /* it has not said which it has */
     return entry->service == OTHER;
   for (unsigned index = 0; index < atomic_load(&page->head.room); index++) {
     struct port *port = &page->ports[index];
@@ -184,4 +185,24 @@ void note_seen(struct requests *requests, unsigned me, const struct request_id *
   atomic_store_explicit(&client->last, now_ns(), memory_order_relaxed);
   if (atomic_load(&client->seen) >> 48 != me)
     atomic_store(&client->seen, SEEN(me, id->number));
+}
+
+/* A clock that is set by more than this between the arrival of a request and its being taken is noticed (ns). */
+#define LONGEST_WAIT INT64_C(60000000000)
+
+/* The middleware says when it received it by CLOCK_REALTIME; it may not say so (0), or that clock may have been set. */
+int64_t arrival(const struct request_info *info)
+{
+  int64_t now = now_ns();
+  if (info->received <= 0)
+    return now;
+  struct timespec at;
+  clock_gettime(CLOCK_REALTIME, &at);
+  int64_t waited = at.tv_sec * INT64_C(1000000000) + at.tv_nsec - info->received;
+  return waited > 0 && waited < LONGEST_WAIT ? now - waited : now;
+}
+
+bool is_lost(struct requests *requests, int64_t came)
+{
+  return came < atomic_load(&requests->lost);
 }

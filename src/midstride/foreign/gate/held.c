@@ -65,6 +65,7 @@ void hold_request(struct entry *entry, const struct request_info *info, const vo
   held->subject = *subject;
   held->added = added;
   held->at = now_ns();
+  held->came = arrival(info);
   held->bytes.memory = heap;
   if (real_rmw_serialize()(request, entry->type, &held->bytes) != 0) {
     real_rcutils_reset_error()();
@@ -111,12 +112,6 @@ static struct held *copied_to_add(struct held *held)
   return copy;
 }
 
-/* Whether a request may have been answered by a component that has died without a note of it. */
-static bool is_lost(struct requests *requests, const struct held *held)
-{
-  return !held->claimed && held->at < atomic_load(&requests->lost);
-}
-
 /* The first of the requests that are held which is this node's to take; NULL where there is none. */
 static struct held *due(struct entry *entry, struct requests *requests)
 {
@@ -126,7 +121,7 @@ static struct held *due(struct entry *entry, struct requests *requests)
   pthread_mutex_lock(&lock);
   for (struct held **place = &entry->held; *place && !found;) {
     struct held *held = *place;
-    bool lost = is_lost(requests, held);
+    bool lost = !held->claimed && is_lost(requests, held->came);
     enum turn turn = held->claimed || lost ? ANSWER : turn_with_held(requests, entry, held);
     if (held->claimed) {
       found = unlink_held(entry, place);
@@ -204,7 +199,7 @@ static uint32_t look_at_held(struct entry *entry, struct requests *requests)
   for (struct held **place = &entry->held; *place;) {
     struct held *held = *place;
     if (!held->claimed &&
-        (is_lost(requests, held) || is_over(requests, entry, held) || !claim_request(requests, &held->info, true))) {
+        (is_lost(requests, held->came) || is_over(requests, entry, held) || !claim_request(requests, &held->info, true))) {
       free_held(unlink_held(entry, place));
       continue;
     }

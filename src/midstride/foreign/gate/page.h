@@ -43,8 +43,9 @@ enum { CLOSED = 0, OPEN = 1 };  /* of a port: gate */
 enum { KEEP_OUT = 1, KEPT_OUT = 2, TAKES_PART = 4 };
 /* Of a node. LISTS: the library adds a port for each topic, open. NAMES_ONE: a `__node:=` that is for all nodes of the
  * process names the first of them alone. LEAVES: it is about to be unloaded from a process that goes on. HAS_AGENT: it is a
- * component with Midstride's API, which shares the requests to its services with a node that has the library. */
-enum { IN_USE = 1, LISTS = 2, NAMES_ONE = 4, LEAVES = 8, HAS_AGENT = 16 };
+ * component with Midstride's API, which shares the requests to its services with a node that has the library. NOTED: it has
+ * noted what it had handled before. */
+enum { IN_USE = 1, LISTS = 2, NAMES_ONE = 4, LEAVES = 8, HAS_AGENT = 16, NOTED = 32 };
 
 struct port {
   _Atomic uint32_t kind;
@@ -207,8 +208,8 @@ struct requests {
   _Atomic int64_t mixed;
   _Atomic uint32_t shared; /* whether two nodes have them */
   _Atomic uint32_t knows;  /* how many were put into `known`, in all */
-  /* What a node has held since before then is not answered: a component has died that had noted nothing. CLOCK_MONOTONIC,
-   * ns. */
+  /* What has arrived before then is not answered: a component has died that had not noted what it had handled.
+   * CLOCK_MONOTONIC, ns. */
   _Atomic int64_t lost;
   uint32_t spare[4];
   struct client clients[CLIENTS];

@@ -4,7 +4,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 /* How many requests a server's queue has room for at least. Of a shallower one, requests fall out while a busy executor
  * does not take them, as while a node starts. */
@@ -73,22 +72,6 @@ EXPORT int rcl_service_set_on_new_request_callback(const void *service, void (*c
   return real_rcl_service_set_on_new_request_callback()(service, callback, context);
 }
 
-/* A clock that is set by more than this between the arrival of a request and its being taken is noticed (ns). */
-#define LONGEST_WAIT INT64_C(60000000000)
-
-/* When a request arrived that is taken now, by when the middleware says that it was received: CLOCK_REALTIME, ns; it may not
- * say so (0), or that clock may have been set. */
-static int64_t arrival(int64_t by_the_middleware)
-{
-  int64_t now = now_ns();
-  if (by_the_middleware <= 0)
-    return now;
-  struct timespec at;
-  clock_gettime(CLOCK_REALTIME, &at);
-  int64_t waited = at.tv_sec * INT64_C(1000000000) + at.tv_nsec - by_the_middleware;
-  return waited > 0 && waited < LONGEST_WAIT ? now - waited : now;
-}
-
 /* Take a request for the node of `entry`, or one that was held; it holds those that come while it leaves. */
 static int take_for(struct entry *entry, const void *service, struct request_info *info, void *request)
 {
@@ -109,9 +92,10 @@ static int take_for(struct entry *entry, const void *service, struct request_inf
     return NO_REQUEST;
   }
   struct taken *taken = NULL;
+  int64_t came = arrival(info);
   switch (turn_with(requests, entry, &subject, &info->id, now_ns(), false, answers(requests, entry))) {
   case ANSWER:
-    if (!begin_request(requests, entry, info, &subject, arrival(info->received), &taken))
+    if (is_lost(requests, came) || !begin_request(requests, entry, info, &subject, came, &taken))
       return NO_REQUEST;
     remember(entry, taken);
     note_setting(entry, request);

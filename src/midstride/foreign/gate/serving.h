@@ -29,7 +29,8 @@ struct held {
   serialized bytes;
   struct subject subject;
   struct taken *taken; /* once it is claimed, of a ROS action */
-  int64_t at;
+  int64_t at;     /* since when it is held, */
+  int64_t came;   /* and when it arrived: CLOCK_MONOTONIC, ns */
   bool claimed;   /* it is this node's to answer */
   bool announced; /* to the callback of its server */
   bool added;     /* it is about many goals, and the node has cancelled its own */
@@ -66,6 +67,10 @@ bool claim_request(struct requests *requests, const struct request_info *info, b
 /* Note the first request of a client that a successor has received: it receives all later ones, and the node before it
  * answers only what came earlier. */
 void note_seen(struct requests *requests, unsigned me, const struct request_id *id);
+/* When a request arrived that is taken now: CLOCK_MONOTONIC, ns. */
+int64_t arrival(const struct request_info *info);
+/* Whether a request that arrived at `came` may have been answered by a component that has died without a note of it. */
+bool is_lost(struct requests *requests, int64_t came);
 
 /* -- goals of ROS actions (goals.c) ----------------------------------------------------------------------------------- */
 

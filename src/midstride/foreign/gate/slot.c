@@ -152,6 +152,12 @@ EXPORT void midstride_note_claimed(struct slot *slot, int64_t sent, int64_t numb
     note_known(requests, identity_of(sent, number) | CLAIMED);
 }
 
+/* It has noted all that it has claimed before; which services it has, it has said. */
+EXPORT void midstride_has_noted(struct slot *slot)
+{
+  atomic_fetch_or(&slot->page->nodes[slot->index].used, NOTED);
+}
+
 /* It holds a request. */
 EXPORT void midstride_note_arrived(struct slot *slot, int64_t sent, int64_t number)
 {

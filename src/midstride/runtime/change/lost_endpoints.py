@@ -222,12 +222,14 @@ def offered(states: Mapping[str, LatestState], configuration: Configuration) -> 
     """Return, by instance, the services and ROS actions of the nodes with the library, in words, as the graph has shown
     them.
 
-    ``states``: their last reports. A component with the API says which ones it has as it registers, not later.
+    ``states``: their last reports. Of a node of which the graph has shown nothing they are not known. A component with
+    the API says which ones it has as it registers, not later.
     """
     return {
         name: [each.words for each in latest.state.serves]
         for name, latest in states.items()
-        if (instance := configuration.instances.get(name)) and instance.component.loads_library and latest.state.looked
+        if (instance := configuration.instances.get(name)) and instance.component.loads_library
+        if latest.state.looked and latest.state.shown
     }
 
 
