@@ -70,7 +70,7 @@ def test_a_number_that_is_not_one_is_unknown(
     rmw: middleware.RmwImplementation, number: int, expected: int | None
 ) -> None:
     found = rmw.message_info({**INFO, "publication_sequence_number": number})
-    assert (found.source, found.number, found.publisher) == (7, expected, bytes(range(24)).hex())
+    assert (found.source, found.number, found.publisher) == (7, expected, bytes(range(16)).hex())
     assert rmw.message_info(None) == rmw.message_info({})
 
 

@@ -26,10 +26,22 @@ def packaged_programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled(tmp_path_factory.mktemp("packaged"), "-Wl,-Bsymbolic-functions")
 
 
-def compiled(folder: Path, *linked: str) -> Path:
+@pytest.fixture(scope="session")
+def of_humble(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Such a folder, as far as the library notices a difference: as on Humble."""
+    return compiled(tmp_path_factory.mktemp("humble"), distribution="HUMBLE")
+
+
+@pytest.fixture(scope="session")
+def of_lyrical(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Likewise as on Lyrical."""
+    return compiled(tmp_path_factory.mktemp("lyrical"), distribution="LYRICAL")
+
+
+def compiled(folder: Path, *linked: str, distribution: str = "JAZZY") -> Path:
     command = build.compiler()
     assert command is not None
-    fake_programs(folder, command, linked)
+    fake_programs(folder, command, linked, distribution)
     return folder
 
 
@@ -40,10 +52,14 @@ def lab(tmp_path: Path, programs: Path, gate_library: Path) -> Iterator[Lab]:
     made.close()
 
 
-def fake_programs(folder: Path, compiler: Sequence[str], linked: Sequence[str] = ()) -> None:
-    """Compile them into ``folder``, the library with options ``linked`` for the linker."""
-    options = [*compiler, "-std=c11", "-O2", "-pthread"]
-    subprocess.run([*options, "-shared", "-fPIC", *linked, "-o", folder / "librcl.so", HERE / "fake_rcl.c"], check=True)
-    link = ["-L", str(folder), "-lrcl", f"-Wl,-rpath,{folder}"]
+def fake_programs(
+    folder: Path, compiler: Sequence[str], linked: Sequence[str] = (), distribution: str = "JAZZY"
+) -> None:
+    """Compile them into ``folder`` as on a ROS 2 ``distribution``, libraries with options ``linked`` for the linker."""
+    options = [*compiler, "-std=c11", "-O2", "-pthread", f"-D{distribution}"]
+    for library in ("rcl", "types"):
+        built = ["-shared", "-fPIC", *linked, "-o", folder / f"lib{library}.so", HERE / f"fake_{library}.c"]
+        subprocess.run([*options, *built], check=True)
+    link = ["-L", str(folder), "-lrcl", "-ltypes", f"-Wl,-rpath,{folder}"]
     for program in ("node", "server", "leaving"):
         subprocess.run([*options, "-o", folder / program, HERE / f"fake_{program}.c", *link], check=True)

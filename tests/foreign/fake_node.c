@@ -14,6 +14,8 @@
  * With FAKE_LOADS, it does nothing but what it reads, a line each, and says when that is done: `+NAME` creates a node of that
  * full name with a publisher on the topic, `.NAME` removes the publisher of the last such node, `-NAME` ends the node. */
 #define _GNU_SOURCE
+#include "fake_rclcpp.h"
+
 #include <pthread.h>
 #include <stdbool.h>
 #include <stdint.h>
@@ -40,13 +42,11 @@ int rcl_timer_init(int *, void *, void *, int64_t, void *, struct allocator);
 int rcl_timer_fini(int *);
 int rcl_timer_call(void *);
 
-/* Of rclcpp: PublisherBase::setup_intra_process, which its publisher has called once it is registered with the manager. */
 struct publisher_base {
   const void *publisher;
   int takes_part;
 };
-void setup(struct publisher_base *, uint64_t, uint64_t **)
-    __asm__("_ZN6rclcpp13PublisherBase19setup_intra_processEmSt10shared_ptrINS_12experimental19IntraProcessManagerEE");
+void setup(struct publisher_base *, uint64_t, uint64_t **) __asm__(SETUP);
 int fake_deliver(const uint64_t *);
 void ros_trace_rclcpp_intra_publish(const void *, const void *);
 

@@ -3,6 +3,7 @@
  * `wait MS` waits for requests for so long, as an executor does, of which none comes, and `events` has a callback called for
  * each instead. `fake_server SERVICE REQUESTS`: takes and answers so many, and writes how much processor time one takes (ns);
  * with a further argument, by the other function that takes.
+ * With HUMBLE, the type of the service is as there.
  * It uses a copy of what rcl has initialized, as rclcpp does with the servers of a lifecycle node. */
 #define _GNU_SOURCE
 #include <stdint.h>
@@ -37,6 +38,7 @@ struct wait_set {
   void *impl;
 };
 
+const void *rosidl_typesupport_c__get_service_type_support_handle__fakes__srv__Fake(void);
 int rcl_service_init(void *, const void *, const void *, const char *, const void *);
 int rcl_take_request(const void *, struct request_id *, void *);
 int rcl_take_request_with_info(const void *, struct request_info *, void *);
@@ -58,7 +60,11 @@ static void wait_for_requests(const void *service, long milliseconds)
 
 int main(int count, char **arguments)
 {
+#ifdef HUMBLE
+  const void *type = rosidl_typesupport_c__get_service_type_support_handle__fakes__srv__Fake();
+#else
   static const void *const type[5] = {"of a test", NULL, NULL, "request", "response"};
+#endif
   static const uint64_t options[16];
   const char *made, *service;
   uint64_t request[16] = {0}, response[16] = {0};

@@ -14,6 +14,7 @@ from midstride.node.author.ports import OutputLink
 from midstride.node.handover.arbiter import Arbiter
 from midstride.node.handover.cut import GRACE, IncomingCut, OutgoingCut, OutgoingSide
 from midstride.node.handover.cut_protocol import SLOW_TICK, TICK, CutInTask, CutOutTask
+from midstride.runtime.timeouts import within
 from tests.node.test_cut import Owner, link_of, write
 from tests.node.virtual import SECOND, Rights, VirtualHost, seconds
 
@@ -80,7 +81,7 @@ async def done(task: CutOutTask) -> asyncio.Future[None]:
     """The old side has done its part, and watches the new one."""
     running = asyncio.ensure_future(task.run())
     await task.taken(failed=False)
-    async with asyncio.timeout(5.0):
+    async with within(5.0):
         await task.finished.wait()
     assert task.outcome == "done"
     return running
@@ -115,7 +116,7 @@ def test_without_outputs_the_old_side_watches_only_where_it_is_wanted_again(want
             with pytest.raises(CommandRefused, match="can still write"):
                 await task.cancel()
         await task.taken(failed=False)
-        async with asyncio.timeout(1.0):
+        async with within(1.0):
             await task.finished.wait()
         assert task.outcome == "done"
         await asyncio.sleep(20 * SLOW_TICK)

@@ -279,6 +279,12 @@ class ParameterSpec:
     value: ParameterValue
     changeable: bool = False
 
+    def __eq__(self, other: object) -> bool:
+        """Compare as :func:`same_value`: from Python 3.13 on, dataclasses do not take an object for equal to itself."""
+        if not isinstance(other, ParameterSpec):
+            return NotImplemented
+        return self.changeable == other.changeable and same_value(self.value, other.value)
+
 
 @dataclass(frozen=True, slots=True)
 class NodeEndpoint:

@@ -23,6 +23,8 @@ from typing import Any, Final, NamedTuple
 
 from midstride.node.component_host import MessageInfo
 
+# How many bytes the identity of an endpoint has. Where a gid has more, as all have on Humble, the others are 0.
+IDENTITY: Final = 16
 _PARTICIPANT: Final = 12  # bytes of a GUID that name its participant (DDSI-RTPS 9.3.1)
 # Of a GUID of Fast DDS: the bytes that name the vendor and the computer, and those that name the process as well.
 _HOST: Final = 4
@@ -97,7 +99,7 @@ class RmwImplementation:
         return MessageInfo(
             source=info.get("source_timestamp") or None,
             number=None if number in (None, _UNSUPPORTED) or not self.numbers_messages else int(number),
-            publisher=bytes(data).hex() if data else None,
+            publisher=bytes(data)[:IDENTITY].hex() if data else None,
         )
 
     def limits(self) -> Iterator[str]:

@@ -225,13 +225,8 @@ void look_at_server(struct entry *entry)
     return;
   if (entry->service == CANCEL_GOAL && !entry->cancelled && atomic_load(&page->nodes[entry->me - 1].cancels))
     cancel_all(entry);
-  size_t clients = 0;
-  if (atomic_load(&requests->shared) && real_rcl_count_clients()) {
-    if (real_rcl_count_clients()(entry->owner, entry->port->topic, &clients) == 0)
-      used_ports[entry->used].matched += (uint32_t)clients;
-    else
-      real_rcutils_reset_error()();
-  }
+  if (atomic_load(&requests->shared))
+    used_ports[entry->used].matched += (uint32_t)clients_of(entry->owner, entry->port->topic);
   uint32_t waiting = atomic_load(&entry->holding) ? look_at_held(entry, requests) : 0;
   used_ports[entry->used].waiting += waiting;
   atomic_store(&entry->port->waiting, oldest_of(entry));

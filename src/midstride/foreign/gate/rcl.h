@@ -1,5 +1,5 @@
-/* The C interface of ROS, as far as the library uses it. No header of ROS is needed: it has not changed from Humble to
- * Kilted.
+/* The C interface of ROS, as far as the library uses it. No header of ROS is needed: what differs from Humble to Lyrical is
+ * said where it is (docs/reference/distributions.md).
  *
  * `real_NAME()` is the function NAME of ROS, found when it is first called; NULL where no library of the process has it.
  */
@@ -52,7 +52,7 @@ struct qos {
 #define KEEP_LAST 1
 #define TRANSIENT_LOCAL 1
 
-/* rcl_service_options_t, up to Kilted: of its QoS profile, only the queue is of interest here. */
+/* rcl_service_options_t: of its QoS profile, only the queue is of interest here. */
 struct service_options {
   int history;
   size_t depth;
@@ -60,13 +60,19 @@ struct service_options {
   allocator memory;
 };
 
-/* rosidl_service_type_support_t, from Iron on. */
+/* rosidl_service_type_support_t: up to Humble, it ends after the first three. */
 struct service_type {
   const char *identifier;
   const void *data;
   const void *function;
   const void *request;
   const void *response;
+};
+
+/* rmw_topic_endpoint_info_array_t */
+struct endpoints {
+  size_t count;
+  void *each;
 };
 
 /* rmw_request_id_t */
@@ -158,6 +164,8 @@ REAL(const char *, rcl_service_get_service_name, const void *)
 REAL(void *, rcl_service_configure_service_introspection, void)
 REAL(int, rcl_service_set_on_new_request_callback, const void *, const void *, const void *)
 REAL(int, rcl_count_clients, const void *, const char *, size_t *)
+REAL(int, rcl_get_publishers_info_by_topic, const void *, const allocator *, const char *, bool, struct endpoints *)
+REAL(int, rmw_topic_endpoint_info_array_fini, struct endpoints *, const allocator *)
 REAL(int, rcl_take_request_with_info, const void *, struct request_info *, void *)
 REAL(int, rcl_send_response, const void *, struct request_id *, void *)
 REAL(int, rcl_action_update_goal_state, void *, int)
@@ -189,6 +197,10 @@ REAL_CALLED(const struct service_type *, type_description,
 #define SETUP_INTRA_PROCESS                                                                                              \
   "_ZN6rclcpp13PublisherBase19setup_intra_processEmSt10shared_ptrINS_12experimental19IntraProcessManagerEE"
 REAL_CALLED(void, setup_intra_process, SETUP_INTRA_PROCESS, void *, uint64_t, void **)
+/* From Lyrical on: with `const std::shared_ptr<…> &`. */
+#define SETUP_BY_REFERENCE                                                                                               \
+  "_ZN6rclcpp13PublisherBase19setup_intra_processEmRKSt10shared_ptrINS_12experimental19IntraProcessManagerEE"
+REAL_CALLED(void, setup_by_reference, SETUP_BY_REFERENCE, void *, uint64_t, void **)
 REAL_CALLED(const char *, publisher_get_topic_name, "_ZNK6rclcpp13PublisherBase14get_topic_nameEv", const void *)
 REAL_CALLED(void, remove_publisher, "_ZN6rclcpp12experimental19IntraProcessManager16remove_publisherEm", void *, uint64_t)
 

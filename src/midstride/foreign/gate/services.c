@@ -9,19 +9,19 @@
  * does not take them, as while a node starts. */
 #define QUEUE 200u
 
-/* The type of the requests to a service; NULL where it is not known. */
-static const void *request_type(const struct service_type *type)
+/* The types of the messages of a service, where its requests can be held: copied, and given back later. */
+static struct message_types copied_types(const struct service_type *type)
 {
-  /* Before Iron, the type of a service does not have it. */
-  bool known = type && real_rcl_service_configure_service_introspection();
-  return known && real_rmw_serialize() && real_rmw_deserialize() && real_rcutils_reset_error() ? type->request : NULL;
+  struct message_types none = {NULL, NULL};
+  bool can_copy = real_rmw_serialize() && real_rmw_deserialize() && real_rcutils_reset_error();
+  return type && can_copy ? message_types(type) : none;
 }
 
-/* The result of initializing a server, of which the type is `type`, and of its requests `request`. */
-static int listed(int result, void *service, const void *owner, const struct service_type *type, const void *request)
+/* The result of initializing a server, of which the messages have these types. */
+static int listed(int result, void *service, const void *owner, const struct message_types *types)
 {
-  if (result == 0 && !add_entry(server_key(service), owner, real_rcl_service_get_service_name()(service), SERVER, request,
-                                type->response)) {
+  if (result == 0 && !add_entry(server_key(service), owner, real_rcl_service_get_service_name()(service), SERVER,
+                                types->request, types->response)) {
     real_rcl_service_fini()(service, (void *)owner);
     return BAD_ALLOC;
   }
@@ -31,13 +31,13 @@ static int listed(int result, void *service, const void *owner, const struct ser
 EXPORT int rcl_service_init(void *service, const void *owner, const void *type, const char *name,
                             const struct service_options *options)
 {
-  const void *request = page ? request_type(type) : NULL;
-  if (!request || !options)
+  struct message_types types = copied_types(page ? type : NULL);
+  if (!types.request || !options)
     return real_rcl_service_init()(service, owner, type, name, options);
   struct service_options deeper = *options;
   if (deeper.history == KEEP_LAST && deeper.depth < QUEUE)
     deeper.depth = QUEUE;
-  return listed(real_rcl_service_init()(service, owner, type, name, &deeper), service, owner, type, request);
+  return listed(real_rcl_service_init()(service, owner, type, name, &deeper), service, owner, &types);
 }
 
 /* librcl initializes this server itself (from Jazzy on): where it is linked with -Bsymbolic-functions, the function above is
@@ -46,9 +46,8 @@ EXPORT int rcl_node_type_description_service_init(void *service, const void *own
 {
   int result = real_rcl_node_type_description_service_init()(service, owner);
   bool unseen = page && result == 0 && !real_rcl_node_type_description_service_fini() && !find_server(service);
-  const struct service_type *type = unseen && real_type_description() ? real_type_description()() : NULL;
-  const void *request = request_type(type);
-  return request ? listed(result, service, owner, type, request) : result;
+  struct message_types types = copied_types(unseen && real_type_description() ? real_type_description()() : NULL);
+  return types.request ? listed(result, service, owner, &types) : result;
 }
 
 EXPORT int rcl_service_fini(void *service, void *owner)

@@ -36,6 +36,16 @@ struct held {
   bool added;     /* it is about many goals, and the node has cancelled its own */
 };
 
+/* -- the types of a service (types.c) ---------------------------------------------------------------------------------- */
+
+/* rosidl_message_type_support_t of what a service is asked, and answers; both NULL where they are not known. */
+struct message_types {
+  const void *request, *response;
+};
+struct message_types message_types(const struct service_type *type);
+/* How many clients of the service `topic` the graph shows to the node `owner`; 0 where it cannot be asked. With `lock`. */
+size_t clients_of(const void *owner, const char *topic);
+
 /* -- which node answers a request (claims.c) -------------------------------------------------------------------------- */
 
 /* Whose requests those of the manager to this node alone seem to be. */

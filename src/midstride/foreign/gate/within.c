@@ -3,8 +3,8 @@
  *
  * A publisher of rclcpp registers with the manager of that communication, and then has `setup_intra_process` called, from
  * which on it takes part. Where the page says so, that is left out, and the registration is undone: else these
- * subscriptions would drop what reaches them through the middleware. librclcpp exports both functions, and has not changed
- * them from Humble to Kilted.
+ * subscriptions would drop what reaches them through the middleware. librclcpp exports both functions, the same from Humble
+ * to Kilted; in Lyrical the first one has another name, since a shared_ptr is passed by reference.
  *
  * A publisher that takes part calls a function of tracetools with each message before subscriptions of the process get it
  * (from Iron on). So what does not go through rcl_publish is counted, and without a subscription, for which the publisher
@@ -54,9 +54,8 @@ static struct entry *entry_of(const void *publisher)
   return real_publisher_get_topic_name()(publisher) == real_rcl_publisher_get_topic_name()(created) ? entry : NULL;
 }
 
-/* A shared_ptr is passed by its address, and begins with the pointer. */
-EXPORT void setup_intra_process(void *publisher, uint64_t number, void **manager) __asm__(SETUP_INTRA_PROCESS);
-void setup_intra_process(void *publisher, uint64_t number, void **manager)
+/* A shared_ptr begins with the pointer. Where it is passed by value, its caller passes the address of a copy. */
+static void set_up(void *publisher, uint64_t number, void **manager, void (*really)(void *, uint64_t, void **))
 {
   struct entry *entry = entry_of(publisher);
   if (entry && atomic_load(&entry->port->within) & KEEP_OUT && real_remove_publisher()) {
@@ -66,6 +65,18 @@ void setup_intra_process(void *publisher, uint64_t number, void **manager)
   }
   if (entry)
     atomic_fetch_or(&entry->port->within, TAKES_PART);
-  if (real_setup_intra_process())
-    real_setup_intra_process()(publisher, number, manager);
+  if (really)
+    really(publisher, number, manager);
+}
+
+EXPORT void setup_intra_process(void *publisher, uint64_t number, void **manager) __asm__(SETUP_INTRA_PROCESS);
+void setup_intra_process(void *publisher, uint64_t number, void **manager)
+{
+  set_up(publisher, number, manager, real_setup_intra_process());
+}
+
+EXPORT void setup_by_reference(void *publisher, uint64_t number, void **manager) __asm__(SETUP_BY_REFERENCE);
+void setup_by_reference(void *publisher, uint64_t number, void **manager)
+{
+  set_up(publisher, number, manager, real_setup_by_reference());
 }

@@ -24,11 +24,11 @@ class AdmittingNode(Node):  # type: ignore[misc]
         self._admission = admission
         super().__init__(name, **options)
         for service in self.services:  # those that ROS itself has made
-            guard_service(service, admission, self._later)
+            guard_service(service, service_name(self, service), admission, self._later)
 
     def create_service(self, *arguments: Any, **options: Any) -> Any:
         service = super().create_service(*arguments, **options)
-        guard_service(service, self._admission, self._later)
+        guard_service(service, service_name(self, service), self._admission, self._later)
         return service
 
     def destroy_service(self, service: Any) -> bool:
@@ -77,8 +77,16 @@ def _is_action(waitable: Any, *classes: str) -> bool:
     return isinstance(waitable, tuple(getattr(module, name, ()) for name in classes))
 
 
-def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]) -> None:
-    """Have rclpy's ``service`` call its callback, and answer, for what ``admission`` admits.
+def service_name(node: Any, service: Any) -> str:
+    """The full name of a server or client of ``node``, remappings applied, which rclpy of Humble does not keep."""
+    name = getattr(service, "service_name", None)
+    return str(name) if name else str(node.resolve_service_name(service.srv_name))
+
+
+def guard_service(
+    service: Any, name: str, admission: RequestAdmission, later: Callable[[Callable[[], Any]], None]
+) -> None:
+    """Have rclpy's ``service`` of the full ``name`` call its callback, and answer, for what ``admission`` admits.
 
     The executor passes a request's identity to `send_response` only, so the callback is called there.
     """
@@ -99,12 +107,12 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
 
         handle_it = partial(handle, identity, request, response, respond)
         passable = PassableRequest(
-            service.service_name,
+            name,
             lambda: serialize_message(request),
             lambda data: later(lambda: send(deserialize_message(data, types.Response), header)),
         )
         waited = max(0, time.time_ns() - header.received_timestamp) / 1e9 if header.received_timestamp else 0.0
-        if admission.admit(identity, lambda: later(handle_it), passable, service=service.service_name, waited=waited):
+        if admission.admit(identity, lambda: later(handle_it), passable, service=name, waited=waited):
             handle_it()
 
     def handle_passed(identity: str, data: bytes, respond: Callable[[bytes | None], object]) -> None:
@@ -121,4 +129,4 @@ def guard_service(service: Any, admission: RequestAdmission, later: Callable[[Ca
     service.callback = lambda request, response: (request, response)
     service.send_response = answer
     service.handle_passed = handle_passed
-    admission.passed_handlers[service.service_name] = handle_passed
+    admission.passed_handlers[name] = handle_passed

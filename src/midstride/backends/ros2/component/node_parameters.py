@@ -9,6 +9,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.parameter import Parameter
 
+from midstride.backends.ros2.component.admitting_node import service_name
 from midstride.backends.ros2.component.data_node import NodeParameter
 from midstride.backends.ros2.middleware import RmwImplementation
 from midstride.backends.ros2.names import PARAMETER_EVENTS
@@ -109,7 +110,7 @@ def endpoints(node: Any, control: str, ports: Collection[int], rmw: RmwImplement
             found["topic", topic.topic_name] = None
     for serves, services in ((False, node.clients), (True, node.services)):  # a node that does both serves it
         for service in services:
-            name = _service_name(node, service)
+            name = service_name(node, service)
             if id(service) not in ports and not name.endswith(_SERVICES_OF_ROS):
                 found["service", name] = serves
     for name, serves in _actions(node, control, rmw):
@@ -143,8 +144,3 @@ def _actions(node: Any, control: str, rmw: RmwImplementation) -> Iterator[tuple[
         for serves, ends in ((True, servers), (False, clients)):
             if any((rmw.process_of(info) or full_name(info.node_name, info.node_namespace)) in own for info in ends):
                 yield topic.removesuffix(_ACTION_STATUS), serves
-
-
-def _service_name(node: Any, service: Any) -> str:
-    name = getattr(service, "service_name", None)  # what the graph shows, remappings applied; not on older rclpy
-    return str(name) if name else str(node.resolve_service_name(service.srv_name))

@@ -14,6 +14,7 @@ from rclpy.qos import QoSProfile, qos_profile_services_default
 from rclpy.task import Future
 
 from midstride.backends.retiring_server import RetiringServer
+from midstride.backends.ros2.component.admitting_node import service_name
 from midstride.node.request_admission import RequestAdmission
 
 # How many requests, or responses, fit into the queue of an endpoint. Every client of a service receives the responses
@@ -60,7 +61,7 @@ class RosServer(RetiringServer[Callable[[Any, Any], Any]]):
             service.send_response(service.callback(request, types.Response()), header)
 
     def _leave(self) -> None:
-        self.admission.passed_handlers.pop(self.service.service_name, None)
+        self.admission.passed_handlers.pop(service_name(self._node, self.service), None)
         self._node.destroy_service(self.service)
         self._gone(self)
 

@@ -48,7 +48,8 @@ class DescribedLaunch:
         found["label"] = label if described.name is None else self.text(described.name)
         if action._ExecuteLocal__respawn:
             delay = action._ExecuteLocal__respawn_delay
-            found["respawn"] = {"delay": delay or 0.0, "retries": action._ExecuteLocal__respawn_max_retries}
+            retries = getattr(action, "_ExecuteLocal__respawn_max_retries", -1)  # Humble starts it again without end
+            found["respawn"] = {"delay": delay or 0.0, "retries": retries}
         for option, value in pairwise(words):
             if option == "--params-file":
                 found["texts"] |= _passing_text(value)
@@ -99,7 +100,7 @@ class DescribedLaunch:
         """How long it may take to end, by the signal that then comes (s), where that is not launch's default."""
         for name in ("sigterm", "sigkill"):
             try:
-                seconds = float(self.text(getattr(action, f"{name}_timeout")))
+                seconds = float(self.text(getattr(action, f"_ExecuteLocal__{name}_timeout")))
             except ValueError:
                 continue
             if 0 <= seconds < float("inf") and seconds != _UNSTATED:

@@ -231,7 +231,7 @@ class Graph:
     def _managers(self, node: str) -> Iterator[LifecycleManager]:
         """The nodes that change its lifecycle state, but for hidden ones: those of ROS's tools and of Midstride."""
         service = f"{node}/change_state"
-        if not self._node.count_clients(service):
+        if hasattr(self._node, "count_clients") and not self._node.count_clients(service):  # not that of Humble
             return
         written = {topic for topic in self._topics_of(node, output=True) if topic.endswith("/bond")}
         for name in sorted({*self._node_names()} - {node}):

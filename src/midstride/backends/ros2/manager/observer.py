@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from midstride.ament_index import installed_program
 from midstride.backends.common_messages import message_class
 from midstride.backends.ros2 import middleware, names
-from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, seconds_of
+from midstride.backends.ros2.component.port_endpoints import for_rclpy, identity_of, qos_of, seconds_of
 from midstride.backends.ros2.manager.named_servers import named_servers
 from midstride.backends.ros2.manager.node_owner import pids_of
 from midstride.backends.ros2.manager.seen_writes import EVERY as LOOK
@@ -210,7 +210,7 @@ def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoin
         known = rmw.message_info(info)
         written = known.source / 1e9 if known.source else time.monotonic()
         writer = known.publisher if rmw.names_writers else None
-        graph.heard(topic, None if writer is None else _identity(writer), written)
+        graph.heard(topic, writer, written)
 
     reliable = all(each.qos.is_reliable for each in publishers)
     profile = QoSProfile(
@@ -222,11 +222,6 @@ def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoin
     node.create_subscription(message_type, topic, for_rclpy(heard), profile, raw=True)
 
 
-def _identity(hexadecimal: str) -> str:
-    """Identities have 16 bytes, which rcl pads in some places."""
-    return hexadecimal[:32]
-
-
 def _endpoint(info: Any, topic: str, output: bool) -> ObservedEndpoint:
     profile, process = info.qos_profile, middleware.of_this_process().node_process(info)
     return ObservedEndpoint(
@@ -236,6 +231,6 @@ def _endpoint(info: Any, topic: str, output: bool) -> ObservedEndpoint:
         output=output,
         # The depth and the history of an endpoint are its own business, and discovery does not tell them.
         qos=replace(qos_of(profile), lifespan=seconds_of(profile.lifespan)),
-        identity=_identity(bytes(info.endpoint_gid).hex()),
+        identity=identity_of(info),
         process=b"" if process is None else process.key,
     )

@@ -11,7 +11,7 @@ from rclpy.exceptions import InvalidHandle
 from midstride.backends.common_messages import message_class
 from midstride.backends.last_message import EVERY, KEPT, LastMessage
 from midstride.backends.ros2 import middleware
-from midstride.backends.ros2.component.port_endpoints import profile_of
+from midstride.backends.ros2.component.port_endpoints import identity_of, profile_of
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.publisher_processes import PublisherProcesses
 from midstride.errors import BackendError, NodeError
@@ -63,7 +63,7 @@ class RosListener:
         self._take(self._kept, kept=True)
         self._take(self._every, kept=False)
         self._asked = self._now()
-        publishers = frozenset(_identity(bytes(info.endpoint_gid).hex()) for info in infos)
+        publishers = frozenset(identity_of(info) for info in infos)
         if self._last.may_be_gone(publishers, self._publishers):
             self._last.forget()
             self._node.destroy_subscription(self._kept)
@@ -84,14 +84,9 @@ class RosListener:
         received = (info or {}).get("received_timestamp") or 0
         # Where the middleware does not say when it arrived, it was after the last look.
         at = self._now() - max(0.0, (time.time_ns() - received) / 1e9) if received else self._asked
-        writer = _identity(facts.publisher) if self._rmw.names_writers and facts.publisher else None
+        writer = facts.publisher if self._rmw.names_writers else None
         self._last.received(message, max(at, self._asked), facts.source, writer, kept=kept)
 
     def close(self) -> None:
         for subscription in (self._every, self._kept):
             self._node.destroy_subscription(subscription)
-
-
-def _identity(identity: str) -> str:
-    """An identity has 16 bytes, which rcl pads in some places."""
-    return identity[:32]
