@@ -47,10 +47,7 @@ def test_servers_of_humble_share_requests_and_know_their_clients(humble: Lab) ->
     with subprocess.Popen(command, env=given[0], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL):
         until(lambda: "/count" in page.servers(indices[0]), "its server is not seen")
         until(lambda: page.servers(indices[0])["/count"].matched == 2, "its clients are not counted")
-    both = [
-        subprocess.Popen([*command, str(REQUESTS)], env=each, stdout=subprocess.DEVNULL)
-        for each in given
-    ]
+    both = [subprocess.Popen([*command, str(REQUESTS)], env=each, stdout=subprocess.DEVNULL) for each in given]
     assert [process.wait(60) for process in both] == [0, 0]
     assert sum(int(page.servers(index)["/count"].passed) for index in indices) == REQUESTS
 

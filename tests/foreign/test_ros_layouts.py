@@ -1,0 +1,17 @@
+"""The library of the gate is compiled without ROS's headers, one for every distribution; here its structures are compared
+with those of the installed ones. For Humble and Lyrical, docs/reference/distributions.md says what was read.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.backends.ros_usage import GATE
+from tests.native import compile_with_ros
+
+
+@pytest.mark.ros2
+def test_the_structures_that_the_library_declares_are_those_of_the_installed_headers(tmp_path: Path) -> None:
+    compile_with_ros([Path(__file__).with_name("layouts.c")], tmp_path / "layouts", options=[f"-I{GATE}"])
