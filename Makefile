@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-long mutants wheel bench docs reference changelog recording animation screenshots lint alloy verify
+.PHONY: help demo test test-all test-long pythons mutants wheel bench docs reference changelog recording animation screenshots lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -21,6 +21,10 @@ test-all: ## all tests but the long ones, and the wheel
 test-long: ## the tests that take minutes each
 	@HYPOTHESIS_PROFILE=long tools/test long --timeout=1800 -o faulthandler_timeout=1830 -o faulthandler_exit_on_timeout=false $(ARGS)
 	@tools/in-venv python tools/mutation.py --mutants 100 --minutes 30 --at-least 70
+	@tools/pythons
+
+pythons: ## the tests that need no ROS, with each other CPython from 3.10 on that is here (ARGS='-k name')
+	@tools/pythons $(ARGS)
 
 mutants: ## how many small changes of the code a test notices (ARGS='--mutants 300 --seed 7')
 	@tools/setup test

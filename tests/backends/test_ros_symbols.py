@@ -23,8 +23,8 @@ from tests.backends import ros_usage
 ALL: Final = ("humble", "jazzy", "kilted", "lyrical")
 # Names that Midstride, or Python's library, has besides ROS: these are not uses of ROS's.
 OTHERS: Final = frozenset(
-    "abstractmethod f_back f_code f_lineno util stderr stdout sep environ monotonic time_ns Lock Thread __file__".split()
-) | {"Response", "GetResultService"}  # which each generated type of a service, or of an action, has
+    "abstractmethod f_back f_code f_lineno util stderr stdout sep environ monotonic time_ns Lock Thread".split()
+) | {"__file__", "Response", "GetResultService"}  # which each generated type of a service, or of an action, has
 # The libraries that have the functions; those of rclcpp are in none that the wheels bring.
 LIBRARIES: Final = (
     "librcl.so",

@@ -1,5 +1,6 @@
-"""The library of the gate is compiled without ROS's headers, one for every distribution; here its structures are compared
-with those of the installed ones. For Humble and Lyrical, docs/reference/distributions.md says what was read.
+"""The structures that the library of the gate declares itself: it is compiled without a header of ROS, one for all.
+
+They are compared with those of the installed ROS. Of Humble and Lyrical, docs/reference/distributions.md says what was read.
 """
 
 from __future__ import annotations

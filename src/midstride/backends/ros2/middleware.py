@@ -128,6 +128,11 @@ _KNOWN: Final = (
 )
 
 
+def identity_of(info: Any) -> str:
+    """The identity of an endpoint of the graph, which every process sees as the same where identities are shared."""
+    return bytes(info.endpoint_gid)[:IDENTITY].hex()
+
+
 def of_identifier(identifier: str) -> RmwImplementation:
     """The implementation of that identifier; for any other, one that tells nothing."""
     return next((each for each in _KNOWN if each.identifier == identifier), RmwImplementation(identifier))

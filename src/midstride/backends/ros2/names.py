@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 PARAMETER_EVENTS: Final = "/parameter_events"
 # Topics that every node has, and that belong to no port.
@@ -74,3 +74,9 @@ def outside(node: str, in_graph: Iterable[tuple[str, str]], system: str) -> int:
 def is_hidden(full_name: str) -> bool:
     """Return whether ROS's tools leave the node out: a part of its name starts with an underscore."""
     return "/_" in full_name
+
+
+def service_name(node: Any, service: Any) -> str:
+    """The full name of a server or client of ``node``, remappings applied, which rclpy of Humble does not keep."""
+    name = getattr(service, "service_name", None)
+    return str(name) if name else str(node.resolve_service_name(service.srv_name))

@@ -22,7 +22,7 @@ static struct caller {
 /* -- calls -------------------------------------------------------------------------------------------------------------- */
 
 /* This thread is in a call of which node, as index + 1; 0: of none that is known. `counted`: and is counted there.
- * `callbacks`: in how many callbacks of rclcpp it is, one in another; counted from Iron on. */
+ * `callbacks`: in how many callbacks of rclcpp it is, one in another. */
 static _Thread_local unsigned called, counted, callbacks;
 
 static void count_in(unsigned me)

@@ -14,6 +14,7 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
+from midstride.backends.ros2.names import service_name
 from midstride.node.request_admission import PassableRequest, RequestAdmission
 
 
@@ -75,12 +76,6 @@ def _is_action(waitable: Any, *classes: str) -> bool:
     """
     module = sys.modules.get("rclpy.action")
     return isinstance(waitable, tuple(getattr(module, name, ()) for name in classes))
-
-
-def service_name(node: Any, service: Any) -> str:
-    """The full name of a server or client of ``node``, remappings applied, which rclpy of Humble does not keep."""
-    name = getattr(service, "service_name", None)
-    return str(name) if name else str(node.resolve_service_name(service.srv_name))
 
 
 def guard_service(

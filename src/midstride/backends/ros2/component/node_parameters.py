@@ -9,10 +9,9 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterException
 from rclpy.parameter import Parameter
 
-from midstride.backends.ros2.component.admitting_node import service_name
 from midstride.backends.ros2.component.data_node import NodeParameter
 from midstride.backends.ros2.middleware import RmwImplementation
-from midstride.backends.ros2.names import PARAMETER_EVENTS
+from midstride.backends.ros2.names import PARAMETER_EVENTS, service_name
 from midstride.errors import CommandRefused, NodeError
 from midstride.model.instance_names import PRIVATE_NAMES, full_name
 from midstride.node.legible import legible

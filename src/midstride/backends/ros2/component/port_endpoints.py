@@ -11,8 +11,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProf
 from rclpy.subscription import Subscription as RclpySubscription
 
 from midstride.backends.common import comes_true
-from midstride.backends.ros2 import middleware
-from midstride.backends.ros2.middleware import RmwImplementation
+from midstride.backends.ros2.middleware import RmwImplementation, identity_of
 from midstride.model.contract import QoS
 
 # Where rclpy can hand message information to a callback at all (not on humble).
@@ -61,11 +60,6 @@ def qos_of(profile: Any) -> QoS:
         deadline=seconds_of(profile.deadline),
         lease=seconds_of(profile.liveliness_lease_duration),
     )
-
-
-def identity_of(info: Any) -> str:
-    """The identity of an endpoint of the graph, which every process sees as the same where identities are shared."""
-    return bytes(info.endpoint_gid)[: middleware.IDENTITY].hex()
 
 
 def seconds_of(duration: Any) -> float | None:

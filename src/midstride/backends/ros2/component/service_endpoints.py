@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile, qos_profile_services_default
 from rclpy.task import Future
 
 from midstride.backends.retiring_server import RetiringServer
-from midstride.backends.ros2.component.admitting_node import service_name
+from midstride.backends.ros2.names import service_name
 from midstride.node.request_admission import RequestAdmission
 
 # How many requests, or responses, fit into the queue of an endpoint. Every client of a service receives the responses

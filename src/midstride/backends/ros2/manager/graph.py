@@ -299,7 +299,7 @@ class Graph:
             return None
         named = self._named(self._publishers(topic))
         own = (info for info, name in named if name == instance and self._lives(info, name))
-        return frozenset(map(port_endpoints.identity_of, own))
+        return frozenset(map(middleware.identity_of, own))
 
     def living_publishers(self, topic: str) -> list[Any]:
         """The publishers on ``topic`` whose process is not known to be dead."""

@@ -17,12 +17,12 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from midstride.ament_index import installed_program
 from midstride.backends.common_messages import message_class
 from midstride.backends.ros2 import middleware, names
-from midstride.backends.ros2.component.port_endpoints import for_rclpy, identity_of, qos_of, seconds_of
+from midstride.backends.ros2.component.port_endpoints import for_rclpy, qos_of, seconds_of
 from midstride.backends.ros2.manager.named_servers import named_servers
 from midstride.backends.ros2.manager.node_owner import pids_of
 from midstride.backends.ros2.manager.seen_writes import EVERY as LOOK
 from midstride.backends.ros2.manager.seen_writes import SeenWrites
-from midstride.backends.ros2.middleware import NodeProcess
+from midstride.backends.ros2.middleware import NodeProcess, identity_of
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.errors import NodeError
 from midstride.model.contract import DEFAULT_QOS

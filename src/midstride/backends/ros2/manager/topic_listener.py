@@ -11,9 +11,10 @@ from rclpy.exceptions import InvalidHandle
 from midstride.backends.common_messages import message_class
 from midstride.backends.last_message import EVERY, KEPT, LastMessage
 from midstride.backends.ros2 import middleware
-from midstride.backends.ros2.component.port_endpoints import identity_of, profile_of
+from midstride.backends.ros2.component.port_endpoints import profile_of
 from midstride.backends.ros2.manager.graph import Graph
 from midstride.backends.ros2.manager.publisher_processes import PublisherProcesses
+from midstride.backends.ros2.middleware import identity_of
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import Predicate, QoS
 from midstride.runtime.backend_protocol import HeardMessage
