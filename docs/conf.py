@@ -30,7 +30,10 @@ NAVIGATION = {
         f"examples/{name}/README" for name in ("talker", "obstacle", "filter", "patrol", "suave", "autoware_control")
     ],
     "How to": ["docs/how-to/*"],
-    "Reference": [*(f"docs/reference/{page}" for page in ("commands", "language", "diagnostics", "api", "distributions")), "docs/http"],
+    "Reference": [
+        *(f"docs/reference/{page}" for page in ("commands", "language", "diagnostics", "api", "distributions")),
+        "docs/http",
+    ],
     "Explanation": [
         *(f"docs/{page}" for page in ("semantics", "architecture", "assurance", "benchmarks")),
         *(f"docs/{page}" for page in ("decisions/README", "paper", "glossary")),

@@ -58,9 +58,11 @@ class Fact(NamedTuple):
 
 def facts(kind: str = "") -> list[Fact]:
     lines = Path(__file__).with_name("ros_symbols.tsv").read_text().splitlines()[1:]
-    found = [line.split("\t") for line in lines]
-    each = [Fact(*words[:4], frozenset(words[4].split()), words[5]) for words in found]
-    return [fact for fact in each if fact.kind == kind or not kind]
+    found = []
+    for line in lines:
+        its_kind, symbol, first, last, files, without = line.split("\t")
+        found.append(Fact(its_kind, symbol, first, last, frozenset(files.split()), without))
+    return [fact for fact in found if fact.kind == kind or not kind]
 
 
 def listed(kind: str) -> dict[str, set[str]]:

@@ -58,7 +58,7 @@ def fake_programs(
     """Compile them into ``folder`` as on a ROS 2 ``distribution``, libraries with options ``linked`` for the linker."""
     options = [*compiler, "-std=c11", "-O2", "-pthread", f"-D{distribution}"]
     for library in ("rcl", "types"):
-        built = ["-shared", "-fPIC", *linked, "-o", folder / f"lib{library}.so", HERE / f"fake_{library}.c"]
+        built = ["-shared", "-fPIC", *linked, "-o", str(folder / f"lib{library}.so"), str(HERE / f"fake_{library}.c")]
         subprocess.run([*options, *built], check=True)
     link = ["-L", str(folder), "-lrcl", "-ltypes", f"-Wl,-rpath,{folder}"]
     for program in ("node", "server", "leaving"):

@@ -43,7 +43,7 @@ def test_servers_of_humble_share_requests_and_know_their_clients(humble: Lab) ->
     page.have_requests(indices[0])
     page.have_requests(indices[1], indices[0])
     given = [variables(page.path, humble.programs, humble.library, humble.log, index) for index in indices]
-    command = [humble.programs / "server", "/count"]
+    command = [str(humble.programs / "server"), "/count"]
     with subprocess.Popen(command, env=given[0], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL):
         until(lambda: "/count" in page.servers(indices[0]), "its server is not seen")
         until(lambda: page.servers(indices[0])["/count"].matched == 2, "its clients are not counted")

@@ -1,6 +1,6 @@
 """The structures that the library of the gate declares itself: it is compiled without a header of ROS, one for all.
 
-They are compared with those of the installed ROS. Of Humble and Lyrical, docs/reference/distributions.md says what was read.
+They are compared with those of the installed ROS; docs/reference/distributions.md says what was read of the others.
 """
 
 from __future__ import annotations
