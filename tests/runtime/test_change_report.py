@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -49,7 +50,7 @@ def test_a_change_is_recorded_with_its_plan_specifications_events_and_modes(tmp_
 def test_what_an_older_version_has_not_recorded_is_not_known(tmp_path: Path) -> None:
     async def body(manager: Manager, _: Simulator) -> None:
         await manager.change(replace("talker", "NewTalker"))
-        with sqlite3.connect(manager._workspace.journal) as journal:
+        with closing(sqlite3.connect(manager._workspace.journal)) as journal, journal:
             journal.execute("DELETE FROM records")
         found = await manager.change_report(2)
         assert (found.plan, found.outcome, found.timeline) == (None, None, None)
@@ -61,7 +62,7 @@ def test_what_an_older_version_has_not_recorded_is_not_known(tmp_path: Path) -> 
 def test_the_record_of_another_version_is_refused_and_the_journal_kept(tmp_path: Path) -> None:
     async def body(manager: Manager, _: Simulator) -> None:
         await manager.change(replace("talker", "NewTalker"))
-        with sqlite3.connect(manager._workspace.journal) as journal:
+        with closing(sqlite3.connect(manager._workspace.journal)) as journal, journal:
             journal.execute("UPDATE records SET plan = '[]' WHERE change = 2")
         with pytest.raises(ManagerError, match="another version of Midstride has recorded change 2"):
             await manager.change_report(2)

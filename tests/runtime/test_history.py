@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -181,7 +182,7 @@ def test_on_a_full_disk_changes_are_refused_and_the_robot_goes_on(tmp_path: Path
 def test_a_damaged_journal_refuses_one_change_and_status_says_where_it_is_kept(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         before = sorted(simulator.processes)
-        with sqlite3.connect(tmp_path / "journal.db") as other:
+        with closing(sqlite3.connect(tmp_path / "journal.db")) as other, other:
             other.execute("DROP TABLE changes")
         other.close()
         outcome = await exchanged(manager)

@@ -9,6 +9,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Coroutine, Iterable
+from contextlib import closing
 from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
@@ -232,7 +233,7 @@ def test_how_long_a_step_took_is_kept_in_whole_microseconds(tmp_path: Path) -> N
 
 
 def rows(path: Path, table: str) -> int:
-    with sqlite3.connect(path / "journal.db") as database:
+    with closing(sqlite3.connect(path / "journal.db")) as database, database:
         return int(database.execute(f"SELECT count(*) FROM {table}").fetchone()[0])
 
 
@@ -548,7 +549,7 @@ def overwrite(start: int, content: bytes) -> Callable[[Path], object]:
 
 def statement(words: str) -> Callable[[Path], object]:
     def damage(path: Path) -> None:
-        with sqlite3.connect(path) as database:
+        with closing(sqlite3.connect(path)) as database, database:
             database.execute(words)
         database.close()
 

@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Order, Specification
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.records.disk import Disk
+from midstride.runtime.records.disk import Connection, Disk
 from midstride.runtime.records.state_store import SavedInstance, StateStore
 from tests.runtime.systems import example
 
@@ -52,7 +52,7 @@ def test_what_up_was_given_is_found_and_a_state_without_it_is_read(path: Path) -
     given = SystemOptions(use_sim_time=True, middleware_settings=False, diagnostics=False)
     store.begin("sim", "a token", SPECIFICATION, given)
     assert_options(path, given)
-    with sqlite3.connect(path) as database:
+    with closing(sqlite3.connect(path)) as database, database:
         database.execute("DELETE FROM system WHERE key = 'options'")
     assert_options(path, NO_OPTIONS)
 
@@ -195,7 +195,7 @@ def test_each_part_of_the_specification_comes_and_goes(path: Path, target: Speci
 def test_a_specification_that_the_disk_refused_is_written_later(path: Path) -> None:
     store = begun(path)
     target = SPECIFICATION.without_node("listener")
-    with sqlite3.connect(path) as blocker:
+    with closing(sqlite3.connect(path)) as blocker, blocker:
         store._open().connection.execute("PRAGMA busy_timeout = 0")
         blocker.execute("BEGIN IMMEDIATE")
         store.write_specification(target)
@@ -208,7 +208,7 @@ def test_a_specification_that_the_disk_refused_is_written_later(path: Path) -> N
 
 def test_what_the_disk_refused_does_not_undo_what_was_asked_for_since(path: Path) -> None:
     store = begun(path)
-    with sqlite3.connect(path) as blocker:
+    with closing(sqlite3.connect(path)) as blocker, blocker:
         store._open().connection.execute("PRAGMA busy_timeout = 0")
         blocker.execute("BEGIN IMMEDIATE")
         store.write_specification(SPECIFICATION.without_node("listener"))
@@ -280,7 +280,7 @@ def test_a_deleted_store_leaves_nothing_and_may_be_deleted_again(path: Path) -> 
     store.delete()
 
 
-class FullDisk(sqlite3.Connection):
+class FullDisk(Connection):
     """A connection whose commits fail while ``full``."""
 
     full = False
@@ -295,7 +295,7 @@ def test_a_disk_that_refuses_is_reported_once_and_caught_up_with(path: Path, mon
     connect = sqlite3.connect
 
     def connected(*arguments: object, **options: object) -> sqlite3.Connection:
-        return connect(*arguments, **options, factory=FullDisk)  # type: ignore[call-overload, no-any-return]
+        return connect(*arguments, **(options | {"factory": FullDisk}))  # type: ignore[call-overload, no-any-return]
 
     monkeypatch.setattr(sqlite3, "connect", connected)
     monkeypatch.setattr(FullDisk, "full", False)
@@ -408,7 +408,7 @@ def test_a_state_that_makes_no_sense_says_so(path: Path, statement: str, why: st
     store = begun(path)
     store.write_instance(TALKER, HANDLE)
     store.close()
-    with sqlite3.connect(path) as database:
+    with closing(sqlite3.connect(path)) as database, database:
         database.execute(statement)
     database.close()
     if why is None:  # what the rest says of the other sections is not used

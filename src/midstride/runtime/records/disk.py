@@ -103,6 +103,17 @@ class Lease:
         self._acquired = False
 
 
+class Connection(sqlite3.Connection):
+    """A connection that is closed where nothing refers to it any more; from Python 3.13 on, others warn of that.
+
+    A manager that is killed, and one that gives up its system, leave theirs so.
+    """
+
+    def __del__(self) -> None:
+        with suppress(sqlite3.Error):
+            self.close()
+
+
 class Disk:
     """The databases in files; a missing file is created for its user alone."""
 
@@ -125,13 +136,13 @@ class Disk:
             return None
         # Not SQLite's own read-only mode: what a killed manager wrote last must be taken from the write-ahead log.
         uri = f"{path.absolute().as_uri()}?mode=rw"
-        connection = sqlite3.connect(uri, uri=True)
+        connection = sqlite3.connect(uri, uri=True, factory=Connection)
         try:
             connection.execute("PRAGMA schema_version")
         except sqlite3.OperationalError:
             # A full disk has no room for the index of that log, which an only user keeps in its own memory.
             connection.close()
-            connection = sqlite3.connect(uri, uri=True)
+            connection = sqlite3.connect(uri, uri=True, factory=Connection)
             connection.execute("PRAGMA locking_mode = EXCLUSIVE")
         except BaseException:
             connection.close()
@@ -153,7 +164,7 @@ class Disk:
 
 
 def _connected(path: Path, schema: str) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, check_same_thread=False)
+    connection = sqlite3.connect(path, check_same_thread=False, factory=Connection)
     try:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
