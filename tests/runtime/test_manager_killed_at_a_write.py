@@ -24,7 +24,7 @@ from midstride.plan.request import PlanRequest
 from midstride.plan.strategies.registry import planner
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
-from midstride.runtime.records.disk import Connection, Database, Disk, Statement
+from midstride.runtime.records.disk import ClosingConnection, Database, Disk, Statement
 from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from tests.runtime.side_by_side import all_replaced, three
@@ -51,7 +51,7 @@ class MortalDisk(Disk):
 
     def open(self, path: Path, schema: str) -> Database:
         if path not in self.files:
-            connection = sqlite3.connect(":memory:", check_same_thread=False, factory=Connection)
+            connection = sqlite3.connect(":memory:", check_same_thread=False, factory=ClosingConnection)
             connection.executescript(schema)
             self.files[path] = MortalDatabase(connection, self)
         return self.files[path]

@@ -23,7 +23,7 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Order, Specification
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
-from midstride.runtime.records.disk import Connection, Disk
+from midstride.runtime.records.disk import ClosingConnection, Disk
 from midstride.runtime.records.state_store import SavedInstance, StateStore
 from tests.runtime.systems import example
 
@@ -280,7 +280,7 @@ def test_a_deleted_store_leaves_nothing_and_may_be_deleted_again(path: Path) -> 
     store.delete()
 
 
-class FullDisk(Connection):
+class FullDisk(ClosingConnection):
     """A connection whose commits fail while ``full``."""
 
     full = False

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
-from midstride.runtime.records.disk import Connection, Database, Disk, Statement
+from midstride.runtime.records.disk import ClosingConnection, Database, Disk, Statement
 from midstride.simulation.killable_manager import Life, ManagerKilled
 
 
@@ -29,7 +29,7 @@ class SimulatedDisk(Disk):
         if path not in self._files:
             if self.full:
                 raise sqlite3.OperationalError("unable to open database file")
-            self._files[path] = sqlite3.connect(":memory:", check_same_thread=False, factory=Connection)
+            self._files[path] = sqlite3.connect(":memory:", check_same_thread=False, factory=ClosingConnection)
         self._files[path].executescript(schema)
         return _Database(self, self._files[path])
 

@@ -103,7 +103,7 @@ class Lease:
         self._acquired = False
 
 
-class Connection(sqlite3.Connection):
+class ClosingConnection(sqlite3.Connection):
     """A connection that is closed where nothing refers to it any more; from Python 3.13 on, others warn of that.
 
     A manager that is killed, and one that gives up its system, leave theirs so.
@@ -136,13 +136,13 @@ class Disk:
             return None
         # Not SQLite's own read-only mode: what a killed manager wrote last must be taken from the write-ahead log.
         uri = f"{path.absolute().as_uri()}?mode=rw"
-        connection = sqlite3.connect(uri, uri=True, factory=Connection)
+        connection = sqlite3.connect(uri, uri=True, factory=ClosingConnection)
         try:
             connection.execute("PRAGMA schema_version")
         except sqlite3.OperationalError:
             # A full disk has no room for the index of that log, which an only user keeps in its own memory.
             connection.close()
-            connection = sqlite3.connect(uri, uri=True, factory=Connection)
+            connection = sqlite3.connect(uri, uri=True, factory=ClosingConnection)
             connection.execute("PRAGMA locking_mode = EXCLUSIVE")
         except BaseException:
             connection.close()
@@ -164,7 +164,7 @@ class Disk:
 
 
 def _connected(path: Path, schema: str) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, check_same_thread=False, factory=Connection)
+    connection = sqlite3.connect(path, check_same_thread=False, factory=ClosingConnection)
     try:
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = FULL")
