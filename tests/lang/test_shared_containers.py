@@ -217,6 +217,27 @@ def test_a_plan_says_how_long_a_destructor_may_hold_up_the_others_of_its_contain
     assert any(f"{held_up} (measured: Talker ended within 710 ms)" in each for each in planner()(measured).remarks)
 
 
+@pytest.mark.parametrize(
+    ("program", "gate", "said"),
+    [
+        ("component_container_mt", "lifecycle preload", True),
+        ("component_container_mt --fast", "lifecycle preload", True),
+        ("component_container_mt", "preload", False),
+        ("component_container_isolated", "lifecycle preload", False),
+    ],
+)
+def test_a_plan_says_which_container_may_crash_as_it_unloads_a_lifecycle_node(
+    tmp_path: Path, program: str, gate: str, said: bool
+) -> None:
+    text = TEXT.replace("component_container_mt --fast", program).replace("gate preload", f"gate {gate}")
+    specification = read(tmp_path, text)
+    words = "b is a lifecycle node: rclcpp's component_container_mt may crash or hang as it unloads one"
+    alone = planner()(changed(specification, PlanRequest(restart=("b",)))).remarks
+    assert any(each.startswith(words) for each in alone) is said
+    together = planner()(changed(specification, PlanRequest(restart=("front/pipeline",)))).remarks
+    assert not any("lifecycle node" in each for each in together), "its process ends"
+
+
 def creates(change: Change) -> dict[str, float]:
     """How long each new instance takes to start, as the plan has it."""
     plan = planner()(change)

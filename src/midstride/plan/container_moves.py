@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.load_words import is_intra_process
 from midstride.plan.change import Change
 from midstride.verdicts.assessment import seconds_in_words
+
+# Containers of rclcpp: all nodes in an executor with several threads, and each in one of its own, which ends before it.
+_SEVERAL_THREADS: Final = "component_container_mt"
+_THREAD_EACH: Final = "component_container_isolated"
 
 
 def in_words(change: Change) -> Iterator[str]:
@@ -65,6 +69,11 @@ def _pauses(change: Change) -> Iterator[str]:
                 f"{', '.join(others)} for as long as it takes ({_known(change, instance)}); if it does not return, it "
                 "ends only with all of them"
             )
+            if instance.component.has_lifecycle and instance.container.program.run.split()[0] == _SEVERAL_THREADS:
+                yield (
+                    f"{name} is a lifecycle node: rclcpp's {_SEVERAL_THREADS} may crash or hang as it unloads one, "
+                    f"also without Midstride; {_THREAD_EACH} was not seen to"
+                )
 
 
 def _known(change: Change, instance: Instance) -> str:
