@@ -38,7 +38,7 @@ class World:
 
     ``refused``: how often it does not unload; ``asked``: the nodes that it was asked to unload, with each request;
     ``left``: those that nothing was to call any more. ``mute``: it does not answer
-    such a request.
+    such a request; ``silent``: nor any other.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class World:
         self.hung: dict[str, asyncio.Future[str | None]] = {}
         self.unloading = asyncio.Event()
         self.unloading.set()
-        self.refused, self.mute = 0, False
+        self.refused, self.mute, self.silent = 0, False, False
         self.asked: list[str] = []
         self.left: list[str] = []
 
@@ -82,6 +82,10 @@ def services(world: World) -> type:
                 world.refused -= 1
                 raise BackendError("it refuses")
             world.nodes.remove(node)
+
+        async def require_answer(self, timeout: float) -> None:
+            if world.silent:
+                raise BackendError("it says nothing")
 
         async def until_gone(self, node: str) -> None:
             await world.unloading.wait()
@@ -452,6 +456,63 @@ def test_a_node_leaves_also_where_the_page_is_of_an_earlier_manager(made: Made, 
     run(made, body())
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_node_does_not_begin_to_end_in_a_container_that_answers_nothing(made: Made, whole: bool) -> None:
+    """But where all of it ends: as a lifecycle node, it would have been shut down, and go on."""
+
+    async def body() -> None:
+        for instance in ("a", "b"):
+            await made.start(instance)
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+        finished: list[str] = []
+
+        async def finish(instance: str) -> None:
+            finished.append(instance)
+
+        made.backend._foreign_nodes.finish = finish
+        made.world.silent = True
+        if whole:
+            assert await made.backend.end("b", replace(DEFAULT_STOP, whole=True)) == []
+            assert finished == ["b"]
+        else:
+            with pytest.raises(BackendError, match=r"b goes on in box: it says nothing. It can only end with its cont"):
+                await made.backend.end("b", DEFAULT_STOP)
+            assert (finished, made.world.left, made.shared.members) == ([], [], {"a", "b"})
+            await made.backend.end("b", KILL_AT_ONCE)
+
+    run(made, body())
+
+
+def test_what_a_container_has_besides_its_instances_is_known(made: Made) -> None:
+    """As a node that it has not unloaded: no instance has it any more, and it does not end with one of the others."""
+
+    async def body() -> None:
+        for instance in ("a", "b"):
+            await made.start(instance)
+        nodes, folder = made.backend._foreign_nodes, made.folder / "control" / GATES_FOLDER
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+        has = {2: "/a", 3: "/b", 4: "/lingers"}
+        page = Mock(
+            mark=lambda index: b"m" * 12,
+            ros_nodes=lambda index: [has[index]] if index in has else ["/box"],
+            loaded_into=lambda process, but: {name for index, name in has.items() if index not in but},
+        )
+        for index, instance in ((2, "a"), (3, "b")):
+            record = ForeignRecord.read(folder, instance)
+            assert record is not None
+            record = structs.replace(record, index=index, process_index=1, token="t")
+            nodes._agents[instance] = Mock(node=Mock(record=record))
+        nodes._page = page
+        found = [(each.instance, each.node) for _, each in nodes.marked()]
+        assert found == [("/a", "/a"), ("/b", "/b"), ("", "/lingers")]
+        [asked] = nodes.processes(["a"])
+        assert asked.not_its_own == {"/box", "/b", "/lingers"}
+        nodes._agents.clear()
+        nodes._page = None
+
+    run(made, body())
+
+
 @pytest.mark.parametrize("ends", [True, False])
 def test_a_call_that_has_begun_ends_before_its_node_is_unloaded(
     made: Made, caplog: pytest.LogCaptureFixture, ends: bool
@@ -471,5 +532,76 @@ def test_a_call_that_has_begun_ends_before_its_node_is_unloaded(
         words = "a callback of /a seems to run still, 0.2 s (`drain`) after it was to be the last"
         assert said == ([] if ends else [f"{words}; the node is unloaded all the same, which may end its container"])
         nodes._page = None
+
+    run(made, body())
+
+
+@pytest.mark.parametrize("mute", ["the one", "all"])
+def test_a_container_that_does_not_unload_a_node_ends_with_the_last_that_leaves_it(made: Made, mute: str) -> None:
+    """Where all of it leave. Nothing more is asked of it once it has not answered."""
+
+    async def body() -> None:
+        for instance in ("a", "b", "c"):
+            await made.start(instance)
+        await made.until(lambda: made.world.nodes == ["/a", "/b", "/c"])
+        made.world.mute = True
+        made.world.unloading.clear()
+        whole, process = replace(DEFAULT_STOP, whole=True), made.shared.process
+        if mute == "the one":
+            with pytest.raises(EndUnknown):
+                await made.backend.end("b", DEFAULT_STOP)
+        assert await made.backend.end("b", whole) == []
+        assert (process.running, made.shared.members, [*made.shared.left]) == (True, {"a", "c"}, ["b"])
+        [said] = made.backend.hanging()
+        assert said.startswith("b is to end with box, which has not unloaded it. ")
+        assert f"`kill -9 {process.pid}`" in said
+        with pytest.raises(StartFailed, match=r"b_2 would be there twice. b is to end with box"):
+            await made.start("b_2", process="")
+        assert await made.backend.end("a", whole) == []
+        assert process.running and made.world.asked == ["/b"]
+        await made.backend.end("c", whole)
+        assert process.status is not None and ([*made.backend._shared], made.exits) == ([], [])
+        assert list(ForeignRecord.all(made.folder / "control" / GATES_FOLDER)) == []
+
+    run(made, body())
+
+
+def test_what_was_to_end_with_its_container_does_so_also_for_the_next_manager(made: Made) -> None:
+    """It does not take it for one that runs, and asks for it to be unloaded, which is not answered again."""
+
+    async def body() -> None:
+        handles = [await made.start(instance) for instance in ("a", "b", "c")]
+        await made.until(lambda: made.world.nodes == ["/a", "/b", "/c"])
+        made.world.mute, whole = True, replace(DEFAULT_STOP, whole=True)
+        await made.backend.end("b", whole)
+        made.shared.process.close()
+        made.world.left.clear()
+        made.backend = made.another()
+        assert [await made.backend._adopt_shared(handle) for handle in handles] == [True, False, True]
+        assert (made.shared.members, [*made.shared.unanswered]) == ({"a", "c"}, ["b"])
+        for instance in ("a", "c"):
+            await made.backend.end(instance, whole)
+        assert ([*made.backend._shared], made.exits) == ([], [])
+        assert list(ForeignRecord.all(made.folder / "control" / GATES_FOLDER)) == []
+
+    run(made, body())
+
+
+def test_a_node_that_was_asked_to_end_is_not_called_again_because_its_container_answers_nothing(made: Made) -> None:
+    async def body() -> None:
+        for instance in ("a", "b"):
+            await made.start(instance)
+        await made.until(lambda: made.world.nodes == ["/a", "/b"])
+        made.world.mute = True
+        made.world.unloading.clear()
+        with pytest.raises(EndUnknown):
+            await made.backend.end("b", DEFAULT_STOP)
+        made.world.mute, made.world.refused = False, 1
+        made.world.unloading.set()
+        with pytest.raises(EndUnknown, match="b may still end in box"):
+            await made.backend.end("b", DEFAULT_STOP)
+        assert "/b" in made.world.left
+        made.world.nodes.remove("/b")
+        await made.until(lambda: made.exits)
 
     run(made, body())

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros2 import names
+from midstride.backends.ros2 import middleware, names
+from midstride.backends.ros2.names import InstanceNode
 from tests.backends.ros2_support import Bare, run
 
 pytestmark = pytest.mark.ros2
@@ -186,6 +187,34 @@ def test_processes_of_a_name_that_have_ended_are_not_listed() -> None:
         keys = {found.key[0] for _, found in graph.processes()}
         assert keys == {process}
         graph.died("/p")
+
+
+def test_a_node_that_no_instance_has_any_more_does_not_live() -> None:
+    """Its container goes on, and the graph shows it still; nor does one that comes later take the place of another."""
+    from midstride.backends.ros2.manager.graph import Graph
+
+    listed = ListedGraph(Random(0))
+    listed.nodes, listed.infos = [], {place: [] for place in listed.infos}
+    mark = bytes([7] * 12)
+    marked = [(mark, InstanceNode("/p_2", "/p", "0123abcd"))]
+
+    def comes(name: str) -> None:
+        listed.nodes.append((name, "/"))
+        gid = [7] * 12 + [len(name), ord(name[0])] * 2
+        info = SimpleNamespace(node_name=name, node_namespace="/", endpoint_gid=gid)
+        listed.infos["/a", True].append(info)
+
+    graph = Graph(listed, middleware.RmwImplementation("rmw_fastrtps_cpp", participant=12), marked=lambda: marked)
+    for name in ("p", "q"):
+        comes(name)
+    assert graph.has("/q") and [found.instance for found in graph.of_name("/q") if found] == ["/p_2"]
+    marked.append((mark, InstanceNode("", "/q", "0123abcd")))
+    assert not graph.has("/q") and graph.of_name("/q") == set()
+    assert [found.instance for found in graph.of_name("/p") if found] == ["/p_2"]
+    assert graph.endpoints(["/a"]).nodes == {"/p_2"}
+    marked[1:] = [(mark, InstanceNode("/q_3", "/q", "0123abcd")), (mark, InstanceNode("", "/q", "0123abcd"))]
+    assert [found.instance for found in graph.of_name("/q") if found] == ["/q_3"]
+    assert graph.endpoints(["/a"]).nodes == {"/p_2", "/q_3"}
 
 
 def test_what_is_looked_up_by_name_is_what_a_look_at_every_endpoint_finds() -> None:

@@ -3,12 +3,13 @@
  * `demo::Failing` cannot be made, and `demo::Crashing` ends its process. TEXT is set when it is compiled.
  * The file STAND_IN_FAULTS in its environment has lines `NODE FAULT`: with `abort`, a node of that full name ends the process
  * as it is made; with `hang`, its constructor does not return as long as that line is there; nor does its destructor with
- * `linger`. */
+ * `linger`. With `stay`, its container answers that it has unloaded it, while the node is still there, and nothing else from
+ * then on, as where another thread of an executor has stopped in what was destroyed. What hangs is only ended by a kill. */
 #include "composable.h"
 
 #include <rosidl_runtime_c/string_functions.h>
 #include <std_msgs/msg/string.h>
-#include <stdbool.h>
+#include <signal.h>
 #include <string.h>
 
 #ifndef TEXT
@@ -46,13 +47,25 @@ static void talk(struct composable *self)
 
 static void wait_while(const struct composable *self, const char *fault)
 {
+  bool hangs = has_fault(self, fault);
+  for (int asked = 0; hangs && asked < 2; asked++)
+    signal(asked ? SIGTERM : SIGINT, SIG_IGN);
   for (struct timespec moment = {0, 10000000}; has_fault(self, fault);)
     nanosleep(&moment, NULL);
+  for (int asked = 0; hangs && asked < 2; asked++)
+    signal(asked ? SIGTERM : SIGINT, SIG_DFL);
 }
 
-static void stop(struct composable *self)
+static void stay(struct composable *self)
+{
+  wait_while(self, "stay");
+}
+
+static bool stop(struct composable *self)
 {
   struct talker *talker = self->state;
+  if (has_fault(self, "stay"))
+    return false;
   wait_while(self, "linger");
   require(rcl_publisher_fini(&talker->publisher, &self->node), "publisher");
   std_msgs__msg__String__fini(&talker->message);
@@ -60,6 +73,7 @@ static void stop(struct composable *self)
     require(rcl_node_fini(&talker->inner), "inner node");
   rcl_reset_error();
   free(talker);
+  return true;
 }
 
 const char *create(struct composable *self, const char *plugin, double (*number_of)(const char *, double))
@@ -87,5 +101,6 @@ const char *create(struct composable *self, const char *plugin, double (*number_
   self->period = 20000000;
   self->tick = talk;
   self->end = stop;
+  self->stay = stay;
   return NULL;
 }

@@ -15,7 +15,7 @@
 typedef composition_interfaces__srv__LoadNode_Request load_request;
 typedef composition_interfaces__srv__LoadNode_Response load_response;
 
-static struct composable *loaded[MOST];
+static struct composable *loaded[MOST], *stays;
 static rcl_context_t context;
 static const load_request *current;
 
@@ -107,9 +107,12 @@ static bool unload(uint64_t id)
 {
   if (id < 1 || id > MOST || !loaded[id - 1])
     return false;
-  loaded[id - 1]->end(loaded[id - 1]);
-  require(rcl_node_fini(&loaded[id - 1]->node), "node");
-  free(loaded[id - 1]);
+  if (!loaded[id - 1]->end(loaded[id - 1])) {
+    stays = loaded[id - 1];
+  } else {
+    require(rcl_node_fini(&loaded[id - 1]->node), "node");
+    free(loaded[id - 1]);
+  }
   loaded[id - 1] = NULL;
   return true;
 }
@@ -144,6 +147,8 @@ static void answer(rcl_service_t *loads, rcl_service_t *unloads, rcl_service_t *
     response.success = unload(to_unload.unique_id);
     respond(unloads, &id, &response);
     composition_interfaces__srv__UnloadNode_Response__fini(&response);
+    if (stays)
+      stays->stay(stays);
   }
   composition_interfaces__srv__ListNodes_Request to_list = {0};
   if (rcl_take_request(lists, &id, &to_list) == RCL_RET_OK) {

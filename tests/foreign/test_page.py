@@ -175,6 +175,21 @@ def test_a_part_is_not_given_away_while_the_process_publishes_as_that_node(lab: 
     assert lab.page.layout.nodes[index].pid == told.process.pid and not lab.page.is_dead(index)
 
 
+def test_a_node_of_a_container_is_known_until_nothing_of_it_is_there(lab: Lab) -> None:
+    """Also where that has said to have unloaded it, and another thread of it still uses it."""
+    told = Told(lab)
+    stays, index = told.load("/stays"), told.load("/node")
+    assert lab.page.loaded_into(told.own, {stays}) == {"/node"} and lab.page.loaded_into(stays, ()) == set()
+    lab.page.free(index)
+    assert lab.page.loaded_into(told.own, ()) == {"/stays", "/node"}
+    told.unload("/node")
+    assert lab.page.loaded_into(told.own, ()) == {"/stays"}
+    lab.page.free(told.load("/node"))
+    assert lab.page.loaded_into(told.own, {stays}) == {"/node"}
+    lab.kill(told.own)
+    assert lab.page.loaded_into(told.own, {stays}) == set()
+
+
 def test_a_part_that_is_given_to_another_process_is_left_alone(lab: Lab) -> None:
     """The helper thread of the one that had it writes nothing there, and the lock is that of the other."""
     told = Told(lab)

@@ -298,7 +298,7 @@ def test_state_that_waits_for_its_role_is_imported_by_a_later_start(tmp_path: Pa
         await first.up()
         end = first._launcher.end
 
-        async def ending(name: str, *, asked: bool = False) -> None:
+        async def ending(name: str, *, asked: bool = False, whole: bool = False) -> None:
             await end(name)
             disk.dead = True
 

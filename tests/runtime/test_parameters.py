@@ -253,7 +253,7 @@ def test_a_value_set_as_the_old_one_is_being_ended_is_not_lost(folder: Path) -> 
     async def body(manager: Manager, simulator: Simulator) -> None:
         end = manager._launcher.end
 
-        async def ending(name: str, *, asked: bool = False) -> None:
+        async def ending(name: str, *, asked: bool = False, whole: bool = False) -> None:
             await set_by_a_tool(simulator, name, "gain", 1.9)
             await end(name)
 
@@ -336,7 +336,7 @@ def test_what_is_set_on_the_new_side_before_a_roll_back_returns_to_the_old_one(f
 
         end, failed = manager._launcher.end, False
 
-        async def ending(name: str, *, asked: bool = False) -> None:
+        async def ending(name: str, *, asked: bool = False, whole: bool = False) -> None:
             nonlocal failed
             if name == "talker" and not failed:
                 failed = True

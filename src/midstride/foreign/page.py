@@ -9,7 +9,7 @@ import ctypes
 import os
 import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from ctypes import c_int, c_int64, c_uint32, c_uint64, c_void_p
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -187,6 +187,17 @@ class Page:
             return None
         found = (port for port in self.every_port() if port.node == index + 1 and port.kind == NODE)
         return sorted(port.topic.decode() for port in found)
+
+    def loaded_into(self, process: int, but: Container[int | None]) -> set[str]:
+        """The full names of the ROS nodes of other nodes of the page that the container ``process`` has or may have.
+
+        Without those of ``but``. One that it has said to have unloaded counts as long as something of it is there.
+        """
+        found = set()
+        for index, node in enumerate(self.layout.nodes):
+            if node.process == process + 1 and node.name and index not in but and (node.used or self._lives(index)):
+                found |= {node.name.decode(), *((self.ros_nodes(index) or ()) if node.used else ())}
+        return found
 
     def loads(self, process: int, index: int | None) -> None:
         """The container that was started as the node ``process`` is asked to load the node ``index``; None: no more.

@@ -42,7 +42,7 @@ class StopTimes:
     with the preloaded library answers the requests to its services that it has taken, for ``drain`` s from when its
     replacement is to answer, and for as long again once it is to end. It goes on with the goals of its ROS actions
     until these have ended, for ``patience`` s at most. One that has been ``asked`` to end before is first waited for so
-    long (s), without a signal: the second one would end it at once.
+    long (s), without a signal: the second one would end it at once. ``whole``: all that share its process are to end.
     """
 
     sigterm: float = 5.0
@@ -50,6 +50,7 @@ class StopTimes:
     drain: float = 2.0
     patience: float = 60.0
     asked: float = 0.0
+    whole: bool = False
 
     @property
     def longest(self) -> float:

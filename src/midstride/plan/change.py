@@ -83,6 +83,12 @@ class Change:
         """The instance of that name, which runs at the start or comes. Raises KeyError where none does."""
         return self.start.instances.get(name) or self.stand_ins.get(name) or self.final.instances[name]
 
+    def ends_process_of(self, instance: Instance) -> bool:
+        """Return whether all that share the process of ``instance`` at the start leave."""
+        return instance.process != "" and all(
+            each.name in self.leaving for each in self.start.instances.values() if each.process == instance.process
+        )
+
     def role_of(self, instance: str) -> str:
         return self.instance(instance).role
 

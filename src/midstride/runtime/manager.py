@@ -258,7 +258,7 @@ class Manager:
             self.events.add("note", f"{name} was started elsewhere: {result}")
             return None
         try:
-            await self._launcher.end(name)
+            await self._launcher.end(name, whole=True)
         except MidstrideError as error:
             return f"{name}: {error}"
         self.events.add("ended", f"{name} has exited")

@@ -361,7 +361,7 @@ class ActionDriver:
                 self.events.add("note", f"{action.instance} could not be released: {error}; end its process")
             self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
         else:
-            await self.launcher.end(action.instance)
+            await self.launcher.end(action.instance, whole=self.change.plan.change.ends_process_of(instance))
         await self.change.parameters.leaving(action.instance, self.configuration)
 
     def _lost_in_crash(self, coming: Instance) -> None:

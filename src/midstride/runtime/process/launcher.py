@@ -331,16 +331,17 @@ class Launcher:
             if instance.name in self._components:
                 self._components[instance.name] = instance.started
 
-    async def end(self, name: str, *, asked: bool = False) -> None:
+    async def end(self, name: str, *, asked: bool = False, whole: bool = False) -> None:
         """End a component that a manager started. Raises BackendError; then its handle is kept.
 
-        ``asked``: an earlier manager has asked it to end, and it is given the time for that.
+        ``asked``: an earlier manager has asked it to end, and it is given the time for that. ``whole``: all that share
+        its process are to end.
         """
         component, latest = self._components.get(name), self._life.latest(name)
         # A component that handles a request to a service asks for more time than it did when it was accepted.
         seconds = max(self._asked.get(name, 0.0), 0.0 if latest is None else latest.state.stopping)
         stop = DEFAULT_STOP if component is None else stop_times(component, seconds)
-        await self._end(name, replace(stop, asked=stop.longest) if asked else stop)
+        await self._end(name, replace(stop, asked=stop.longest if asked else 0.0, whole=whole))
         self._life.record(name, ProcessEvent.ENDED)
 
     async def kill(self, name: str) -> None:

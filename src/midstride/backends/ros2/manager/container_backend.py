@@ -308,7 +308,10 @@ class ContainerBackend(ProcessBackend):
     # -- end -----------------------------------------------------------------------------------------------
 
     async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        shared = self._shared.of(instance)
         if stop.longest:
+            if shared is not None and not stop.whole:
+                await self._require_answer(shared, instance, stop.longest)
             await self._foreign_nodes.finish(instance)
         if (shared := self._shared.of(instance)) is None:
             if self._shared.is_unanswered(instance):  # it ends with its container
@@ -325,15 +328,34 @@ class ContainerBackend(ProcessBackend):
                 return killed
             shared.members.discard(instance)
             shared.leaving.add(instance)
-        await self._unload(shared, instance, stop.longest)
+        await self._unload(shared, instance, stop.longest, whole=stop.whole)
         return []
 
-    async def _unload(self, shared: SharedProcess, instance: str, longest: float) -> None:
-        """End one instance of a process that goes on. Raises BackendError: it goes on, too; EndUnknown: it may."""
+    async def _require_answer(self, shared: SharedProcess, instance: str, longest: float) -> None:
+        """Raises BackendError where a process that is to go on does not answer: before anything of its node ends."""
+        if not shared.members - {instance} or instance in {*shared.unanswered, *shared.unloads}:
+            return
+        services = ContainerServices(self._node, full_name(shared.name))
+        try:
+            await services.require_answer(longest)
+        except BackendError as error:
+            if shared.process.running:
+                raise BackendError(shared.why_it_goes_on(instance, str(error))) from None
+        finally:
+            if self._context is not None:
+                services.close()
+
+    async def _unload(self, shared: SharedProcess, instance: str, longest: float, *, whole: bool = False) -> None:
+        """End one instance of a process that goes on. Raises BackendError: it goes on, too; EndUnknown: it may.
+
+        Where the ``whole`` process is to end, one that it does not unload ends with the last of the others instead, and
+        nothing is asked of a container that has not answered such a request.
+        """
         record = self._foreign_nodes.record_of(instance)  # also of one that nothing answers for yet
         node = full_name(instance) if record is None else record.node
         shared.members.discard(instance)
         shared.leaving.add(instance)
+        stuck, asked_before = shared.is_stuck, instance in shared.unloads
         shared.wait_no_more(instance)
         services = ContainerServices(self._node, full_name(shared.name))
         try:
@@ -342,6 +364,9 @@ class ContainerBackend(ProcessBackend):
                     self._processes.pop(instance, None)
                     return
                 await self._foreign_nodes.leaves(record)
+                if whole and stuck and record is not None:
+                    self._ends_with_all(shared, record)
+                    return
                 unloading = asyncio.ensure_future(services.unload(node, longest))
                 over = asyncio.ensure_future(shared.process.wait())
                 try:
@@ -352,22 +377,29 @@ class ContainerBackend(ProcessBackend):
                     unloading.cancel()
                     over.cancel()
         except BackendError as error:
+            if shared.process.running and whole and record is not None:
+                log.warning("%s: %s; it ends with %s, as all of that do", instance, error, shared.name)
+                self._ends_with_all(shared, record)
+                return
             if shared.process.running:
                 shared.members.add(instance)
-                if isinstance(error, UnloadUnanswered):
+                if asked_before or isinstance(error, UnloadUnanswered):
                     self._await_unloaded(shared, instance, node)
                     raise EndUnknown(shared.why_unknown(instance, str(error))) from None
                 await self._foreign_nodes.leaves(record, now=False)
-                raise BackendError(
-                    f"{instance} goes on in {shared.name}: {error}. It can only end with its container, by "
-                    f"`midstride restart {shared.name}`, or when that is killed (process {shared.process.pid})"
-                ) from None
+                raise BackendError(shared.why_it_goes_on(instance, str(error))) from None
         finally:
-            shared.leaving.discard(instance)
+            if instance not in shared.left:
+                shared.leaving.discard(instance)
             if self._context is not None:
                 services.close()
         self._processes.pop(instance, None)
         self._foreign_nodes.gone(instance)
+
+    def _ends_with_all(self, shared: SharedProcess, record: ForeignRecord) -> None:
+        """Have the instance end with its process, as all others of it do; its record is kept until then."""
+        shared.left[record.instance] = record
+        self._processes.pop(record.instance, None)
 
     def _await_unloaded(self, shared: SharedProcess, instance: str, node: str) -> None:
         """Have the instance count as one that has exited, once its container does not have the node any more."""
@@ -400,9 +432,10 @@ class ContainerBackend(ProcessBackend):
         for instance in members:
             self._forget(instance, shared.process)
             self._gone(instance)
-        for record in shared.unanswered.values():
+        for record in (*shared.unanswered.values(), *shared.left.values()):
             self._foreign_nodes.forget(record)
         shared.unanswered.clear()
+        shared.left.clear()
         self._foreign_nodes.discard_shared(shared.name, shared.index)
         if self._context is not None:
             self._graph.died(full_name(shared.name))

@@ -112,6 +112,13 @@ class ContainerServices(RosNodeServices):
         listed = await self._call(ListNodes, _LIST, timeout)
         return dict(zip(listed.unique_ids, listed.full_node_names, strict=False))
 
+    async def require_answer(self, timeout: float) -> None:
+        """Raises BackendError where it does not say within ``timeout`` (s) which nodes it has."""
+        try:
+            await self._nodes(timeout)
+        except NoAnswer as error:
+            raise BackendError(f"nothing can be unloaded: {error}") from None
+
     async def lists(self, node: str) -> bool:
         """Return whether it has the node with that full name, and says so within a second."""
         try:

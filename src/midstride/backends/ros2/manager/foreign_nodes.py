@@ -140,14 +140,23 @@ class ForeignNodes:
         return bool(record.node) and self.tells_processes and self._servers(record) is not None
 
     def marked(self) -> list[tuple[bytes, InstanceNode]]:
-        """The instances whose gate is inside, each with the identity of a publisher of its process."""
-        found = []
-        for agent in self._agents.values():
-            record = agent.node.record
+        """The instances whose gate is inside, each with the identity of a publisher of its process.
+
+        After them, without an instance, the nodes that their containers have besides: one that is not unloaded, or that
+        the container has said to have unloaded and the graph shows still.
+        """
+        found, containers = [], dict[int, tuple[bytes, str]]()
+        records = [agent.node.record for agent in self._agents.values()]
+        for record in records:
             if (mark := self._mark(record)) is not None and record.node:
-                inside = split_name(record.node)[1]
-                instance = full_name(record.instance, inside)
-                found.append((mark, InstanceNode(instance, record.node, system_tag(record.token))))
+                inside, system = split_name(record.node)[1], system_tag(record.token)
+                found.append((mark, InstanceNode(full_name(record.instance, inside), record.node, system)))
+                if record.process_index is not None:
+                    containers[record.process_index] = mark, system
+        known = {record.index for record in records}
+        for process, (mark, system) in containers.items():
+            if self._page is not None:
+                found += [(mark, InstanceNode("", node, system)) for node in self._page.loaded_into(process, known)]
         return found
 
     def shown_as(self, instance: str) -> str | None:
@@ -426,11 +435,10 @@ class ForeignNodes:
             return
         if record.process_index is not None and self._page is not None:
             yield from self._page.ros_nodes(record.process_index) or ()
+            yield from self._page.loaded_into(record.process_index, {record.index})
         for other in (agent.node.record for agent in self._agents.values()):
             if other.process == record.process and other.instance != record.instance:
                 yield other.node
-                if other.index is not None and self._page is not None:
-                    yield from self._page.ros_nodes(other.index) or ()
 
     def loads(self, record: ForeignRecord, now: bool) -> None:
         """A container is about to load the node of ``record``, or has answered that request."""

@@ -40,7 +40,8 @@ _Instances: TypeAlias = Mapping[bytes | str | tuple[bytes, str], InstanceNode | 
 class Graph:
     """To be used on one thread. ``node`` is rclpy's; ``rmw`` is what the middleware can tell.
 
-    ``marked``: each instance whose process is known by the identity of an endpoint of it, with that.
+    ``marked``: each instance whose process is known by the identity of an endpoint of it, with that. One without a name
+    is a node that no instance has any more, in a process that goes on: it does not live.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class Graph:
         self.rmw = middleware.of_this_process() if rmw is None else rmw
         self._died: dict[str, float] = {}
         self._dead_endpoints: dict[bytes, float] = {}
-        self._known: _Instances = {}
+        self._known: dict[bytes | str | tuple[bytes, str], InstanceNode | None] = {}
 
     def died(self, full_name: str) -> None:
         """The process of a node has ended."""
@@ -81,7 +82,9 @@ class Graph:
 
     def _lives(self, info: Any, name: str) -> bool:
         died = self._died.get(name)
-        return (died is None or time.monotonic() - died > self.rmw.linger) and not self._is_known_dead(info)
+        return (
+            name != "" and (died is None or time.monotonic() - died > self.rmw.linger) and not self._is_known_dead(info)
+        )
 
     def _is_known_dead(self, info: Any) -> bool:
         """Return whether an endpoint is known by its identity to be of a process that has ended."""
@@ -325,20 +328,30 @@ class Graph:
         return node if found is None or node != found.node else found.instance
 
     def _instances_of(self, processes: Iterable[bytes | str]) -> _Instances:
-        """The instances of these processes, if they have any. Which one a process is never changes."""
-        if self.rmw.participant is None or not self._known.keys() >= set(processes):
-            self._known = self._instances()
-        return self._known
+        """The instances of these processes, if they have any. Which one a process is changes in a container alone."""
+        if self.rmw.participant is None:
+            return self._instances()
+        marked = self._of_marks(self.rmw.participant)
+        if not {*marked, *self._known} >= {*processes}:
+            self._known = self._of_controls()
+        return marked | self._known
 
     def _instances(self) -> _Instances:
-        if (length := self.rmw.participant) is not None:
-            marked: dict[bytes | str | tuple[bytes, str], InstanceNode | None] = {}
-            for mark, found in self._marked():
-                marked.setdefault(mark[:length], found)
-                marked[mark[:length], found.node] = found
-            return marked | {self._process(info): found for info, found in self._controls()}
+        if self.rmw.participant is not None:
+            return self._of_marks(self.rmw.participant) | self._of_controls()
         listed = Counter(self._node_names())
         return {found.node: found if listed[found.node] == 1 else None for _, found in self._controls()}
+
+    def _of_controls(self) -> dict[bytes | str | tuple[bytes, str], InstanceNode | None]:
+        return {self._process(info): found for info, found in self._controls()}
+
+    def _of_marks(self, length: int) -> dict[bytes | str | tuple[bytes, str], InstanceNode | None]:
+        """``length``: of the part of an identity that is that of the process."""
+        found: dict[bytes | str | tuple[bytes, str], InstanceNode | None] = {}
+        for mark, instance in self._marked():
+            found.setdefault(mark[:length], instance)
+            found.setdefault((mark[:length], instance.node), instance)
+        return found
 
     def _controls(self) -> list[tuple[Any, InstanceNode]]:
         """An endpoint of each instance's control node."""

@@ -23,7 +23,8 @@ class SharedProcess:
     ``loading``: held while it loads or unloads. ``loads``: the instance that it is asked to load now; empty: none.
     ``unanswered``: by instance, the nodes that it was asked to load, and has not said whether it has; these are no
     members. ``unloads``: by instance, what waits until a node is gone that it was asked to unload, and has not said
-    whether it does; these are members. ``tasks``: all that waits for either.
+    whether it does; these are members. ``left``: by instance, the nodes that it has not unloaded, and that are to end
+    with it, as all others are; these are leaving. ``tasks``: all that waits for a request.
     """
 
     name: str
@@ -35,6 +36,7 @@ class SharedProcess:
     loads: str = ""
     unanswered: dict[str, ForeignRecord] = field(default_factory=dict)
     unloads: dict[str, asyncio.Task[None]] = field(default_factory=dict)
+    left: dict[str, ForeignRecord] = field(default_factory=dict)
     tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
     def why_busy(self, instance: str) -> str:
@@ -53,12 +55,34 @@ class SharedProcess:
             f"container, by `midstride restart {self.name}`, or when that is killed (process {self.process.pid})"
         )
 
+    def why_it_goes_on(self, instance: str, why: str) -> str:
+        """Say that ``instance`` has not ended; ``why``: what its container does not do."""
+        return (
+            f"{instance} goes on in {self.name}: {why}. It can only end with its container, by "
+            f"`midstride restart {self.name}`, or when that is killed (process {self.process.pid})"
+        )
+
+    @property
+    def is_stuck(self) -> bool:
+        """True once it has not answered a request to load or unload a node, until it does."""
+        return bool(self.unanswered or self.unloads or self.left)
+
+    def why_left(self, instance: str) -> str:
+        """Say that ``instance`` was to end with all others of the process, and is still in it."""
+        return (
+            f"{instance} is to end with {self.name}, which has not unloaded it. With a gate, its timers, messages, "
+            f"requests and responses do not call it any more. `midstride restart {self.name}` ends that process, as "
+            f"does `kill -9 {self.process.pid}`"
+        )
+
     def hanging(self) -> Iterator[str]:
         """Yield which requests it has not answered in time, and what follows from each."""
         for instance in sorted(self.unanswered):
             yield f"{self.name} has not answered the request to load {instance}. {self.why_busy(instance)}"
         for instance in sorted(self.unloads):
             yield self.why_unknown(instance, "it was asked to unload it")
+        for instance in sorted(self.left):
+            yield self.why_left(instance)
 
     def wait_no_more(self, instance: str) -> None:
         """Nothing waits any more until ``instance`` is gone, where it was asked to unload that."""
@@ -150,6 +174,9 @@ class SharedProcesses:
             for other, record in shared.unanswered.items():
                 if record.role == launch.role and launch.process in ("", shared.name):
                     raise StartFailed(f"{launch.instance} would be there twice. {shared.why_busy(other)}")
+            for other, record in shared.left.items():
+                if record.role == launch.role and launch.process in ("", shared.name):
+                    raise StartFailed(f"{launch.instance} would be there twice. {shared.why_left(other)}")
 
     def close(self) -> None:
         """Nothing is waited for any more."""
