@@ -58,6 +58,7 @@ async def _closing(self: Door, slowly: bool) -> None: ...
         ("close", _closing),
         ("material", lambda self, kind: kind),
         ("state", lambda: "open"),
+        ("state", lambda self: self.locked),
     ],
 )
 def test_what_is_not_called_alike_is_refused(

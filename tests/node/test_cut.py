@@ -189,6 +189,13 @@ def test_the_new_side_continues_the_grid_it_is_given() -> None:
     assert owner.rate is not None and owner.rate.epoch == T
 
 
+def test_the_new_side_keeps_its_grid_where_it_is_given_none() -> None:
+    owner = Owner(rate=Grid(epoch=5))
+    link, _ = link_of(owner)
+    IncomingCut([link], Clocks(T).host, cut_lock(), T).arm()
+    assert owner.rate is not None and owner.rate.epoch == 5
+
+
 # -- the old side ----------------------------------------------------------------------------------
 
 

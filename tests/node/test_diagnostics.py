@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,15 @@ def test_silence_is_an_error_where_something_relies_on_it() -> None:
     assert shown(mode="degraded", in_=received(SILENT)).level == Level.WARN, "the degraded mode assumes nothing"
     assert shown(mode="degraded", out=written(SILENT)).level == Level.OK, "and guarantees nothing"
     assert shown(out=written(SILENT, gate="closed")).level == Level.OK
+
+
+def test_of_two_alternatives_neither_is_relied_on_alone() -> None:
+    normal = Mode("normal", (InputAlternatives(("spare", "in")),), Map({"out": ALERT}))
+    functionality = changed(WATCHER.functionalities["watch"], modes=(normal, Mode("degraded", (), Map())))
+    either = changed(WATCHER, functionalities=Map(watch=functionality))
+    for heard in (state(in_=received(SILENT)), state(spare=received(SILENT))):
+        _, entry = diagnostics(heard, either)
+        assert entry.level == Level.WARN
 
 
 def test_nothing_is_judged_before_a_whole_window_was_measured() -> None:

@@ -49,6 +49,7 @@ def test_only_the_latest_run_counts(tmp_path: Path) -> None:
     log.write_text(log.read_text() + TRACEBACK)
     begin_run(log, "a")
     assert text_of_latest_run(log.read_text()) == ""
+    assert "\n\n" not in log.read_text()
 
 
 def test_the_report_of_a_change_has_what_the_new_program_wrote_last(tmp_path: Path) -> None:
