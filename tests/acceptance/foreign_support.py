@@ -10,7 +10,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -116,7 +116,8 @@ def holes(heard: Sequence[tuple[float, str, int]]) -> list[Hole]:
 class Robot:
     """A system that runs, and what a bare recorder hears of it: when (monotonic, s), from which instance, number.
 
-    ``recorded``: reads on in what a recorder in C has written, where that is the recorder. ``given_up``: of the changes
+    ``recorded``: reads on in what a recorder in C has written, where that is the recorder. ``published``: when each was
+    published by its own account (Unix time, ns), where rclpy hears them. ``given_up``: of the changes
     that :meth:`replaced` has made again, which part of what was heard is theirs, as the indices of its first and last.
     """
 
@@ -125,6 +126,7 @@ class Robot:
     bare: Bare
     heard: list[tuple[float, str, int]] = field(default_factory=list)
     recorded: Recorded | None = None
+    published: dict[tuple[str, int], int] = field(default_factory=dict)
     given_up: list[tuple[int, int]] = field(default_factory=list)
 
     async def until(self, condition: Callable[[], bool], seconds: float = 60) -> None:
@@ -139,9 +141,11 @@ class Robot:
             await asyncio.sleep(0.005)
             self.heard += self.recorded.more()
 
-    def hear(self, message: Any) -> None:
+    def hear(self, message: Any, info: Any) -> None:
         name, number = message.data.split()
         self.heard.append((time.monotonic(), name, int(number)))
+        stamp = info["source_timestamp"] if isinstance(info, Mapping) else info.source_timestamp
+        self.published[name, int(number)] = stamp
 
     async def hears(self, messages: int = 20) -> None:
         """Return when so many more have been heard."""
@@ -198,6 +202,24 @@ class Robot:
     def changes(self) -> list[tuple[str, str]]:
         """Each change of the writer that was heard, but for those of changes that were given up."""
         return [(old, new) for part in self._parts() for (_, old, _), (_, new, _) in pairwise(part) if old != new]
+
+    def require_changes(self, number: int) -> None:
+        """Fail unless the writer has changed so often; else say whether the order of publication has more changes.
+
+        The middleware keeps no order between two writers: on a busy machine a recorder may hear the first message of
+        the new one before the last one of the old one, which then looks as if the old one had written again.
+        """
+        if len(self.changes()) == number:
+            return
+        rows = [(self.published.get((name, count), 0), at, name, count) for at, name, count in self.heard]
+        by_time = sum(old[2] != new[2] for old, new in pairwise(sorted(rows)))
+        firsts = [place for place in range(1, len(rows)) if rows[place - 1][2] != rows[place][2]]
+        back = [place for place, following in pairwise(firsts) if following - place < 10]
+        near = [rows[max(0, place - 3) : place + 12] for place in back]
+        raise AssertionError(
+            f"{len(self.changes())} changes of the writer were heard, not {number}, and {by_time} in the order in "
+            f"which they were published; those that went back soon, as published, heard, writer and number: {near}"
+        )
 
     def holes(self) -> list[Hole]:
         """What was missed, but for what was in changes that were given up."""

@@ -100,7 +100,7 @@ def replaced_often(
                     assert counted.accepted and not (counted.lost or counted.unknown), counted.words
                     ends = counted.ended_at_old + counted.ended_at_new + counted.cancelled
                     assert counted.accepted == ends + counted.in_progress, counted.words
-            assert len(system.changes()) == len(components)
+            system.require_changes(len(components))
             assert system.holes() == []
             if write is written:
                 client: Any = ActionClient(system.bare.node, Fibonacci, "/count")

@@ -40,7 +40,7 @@ def replaced(folder: Path, components: Sequence[str]) -> None:
                     await system.replaced(component)
                 count = len(calls.answered)
                 await system.until(lambda: len(calls.answered) > count + 40)
-            assert len(system.changes()) == len(components)
+            system.require_changes(len(components))
             assert system.holes() == []
             found = sorted(each.latency for each in calls.answered)
             p50, p99 = (found[int(len(found) * part)] for part in (0.5, 0.99))

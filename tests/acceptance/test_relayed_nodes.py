@@ -35,7 +35,7 @@ def test_a_relayed_node_is_replaced(tmp_path: Path) -> None:
                 await made.replaced(component)
                 if component in ("Other", "Native"):  # relayed programs go on without a manager
                     await made.another_manager()
-            assert len(made.changes()) == len(components), made.changes()
+            made.require_changes(len(components))
             assert made.holes() == []
             status = await made.manager.status()
             assert status.valid, status
