@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import socket
 from contextlib import ExitStack
 from pathlib import Path
 from random import Random
@@ -11,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros2 import dds_profiles, middleware, names
+from midstride.backends.ros2 import dds_profiles, distributions, middleware, names, zenoh_router
 from midstride.backends.ros2.middleware import of_identifier
 from midstride.capture.observed import ObservedEndpoint, ObservedGraph
 from midstride.model.contract import QoS
@@ -72,6 +73,38 @@ def test_a_number_that_is_not_one_is_unknown(
     found = rmw.message_info({**INFO, "publication_sequence_number": number})
     assert (found.source, found.number, found.publisher) == (7, expected, bytes(range(16)).hex())
     assert rmw.message_info(None) == rmw.message_info({})
+
+
+def test_where_no_router_of_zenoh_answers_that_is_said_unless_it_may_be_elsewhere() -> None:
+    silent, asked = zenoh_router.problem, list[tuple[str, int]]()
+
+    def unanswered(address: tuple[str, int]) -> bool:
+        asked.append(address)
+        return False
+
+    assert "no Zenoh router answers at tcp/localhost:7447" in silent("rmw_zenoh_cpp", {}, unanswered)
+    assert asked == [("localhost", 7447)]
+    assert silent("rmw_zenoh_cpp", {}, lambda _: True) == ""
+    assert silent("rmw_zenoh_cpp", {"ZENOH_SESSION_CONFIG_URI": "own.json5"}, unanswered) == ""
+    assert silent("rmw_fastrtps_cpp", {}, unanswered) == ""
+    assert len(asked) == 1
+
+
+def test_a_router_answers_where_it_accepts_a_connection() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as router:
+        address = router.getsockname()
+        assert zenoh_router.answers(address)
+    assert not zenoh_router.answers(address)
+
+
+@pytest.mark.ros2
+def test_the_distribution_is_that_which_is_sourced_else_that_of_rclpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    installed = distributions.of_this_process()
+    assert installed in ("jazzy", "kilted")
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    assert distributions.of_this_process() == installed
+    monkeypatch.setenv("ROS_DISTRO", "lyrical")
+    assert distributions.of_this_process() == "lyrical"
 
 
 @pytest.mark.ros2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -67,6 +68,9 @@ def test_what_up_was_given_holds_for_the_next_manager_and_for_new_components(mid
 def test_a_system_from_up_to_down(midstride: Midstride) -> None:
     up = midstride("up", TALKER, "-d")
     assert up.status == 0, up.err
+    where = re.search(r"Middleware: (rmw_\w+ in domain \d+ on ROS 2 \w+)", midstride("status", "--verbose").out)
+    words = [incident["words"] for incident in midstride("history", "--json").json["incidents"]]
+    assert where is not None and f"talker is up with {where[1]}: 2 components" in words
     before = midstride.components("talker")
     replaced = midstride("replace", "talker", "NewTalker", "--yes", "--json")
     assert replaced.status == 0, replaced.out

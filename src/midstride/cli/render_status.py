@@ -232,7 +232,11 @@ def platform(status: Status) -> RenderableType:
         for name, value in variables.items():
             settings.add_row(name, value, owner)
     model = f"The configuration in the manager's model is {'' if status.valid else 'not '}valid."
-    lines: list[RenderableType] = [Text(""), starts, Text(f"\n{model}\nMiddleware: {middleware.name}")]
+    lines: list[RenderableType] = [
+        Text(""),
+        starts,
+        Text(f"\n{model}\nMiddleware: {middleware.where or middleware.name}"),
+    ]
     if middleware.set or middleware.kept:
         lines.append(settings)
     undeclared = [
@@ -246,7 +250,7 @@ def platform(status: Status) -> RenderableType:
         for port in component.ports
         if port.kept_out
     ]
-    notes = [*undeclared, *kept_out, *middleware.notes, *_spares(status.spares)]
+    notes = [*undeclared, *kept_out, *filter(None, [middleware.problem]), *middleware.notes, *_spares(status.spares)]
     return Group(*lines, *(Text(note, style="dim") for note in notes))
 
 

@@ -196,7 +196,10 @@ class Manager:
             remaining = remaining_degradations(self.system, Configuration(), intended)
             degraded = f"; degraded: {degradations_in_words(remaining)}" if remaining else ""
             without = f" without {', '.join(missing)}" if missing else ""
-            self.events.add("up", f"{self.specification.name} is up{without}: {many}{degraded}")
+            if (middleware := self._backend.middleware()).problem:
+                self.events.add("note", middleware.problem)
+            by = f" with {middleware.where}" if middleware.where else ""
+            self.events.add("up", f"{self.specification.name} is up{without}{by}: {many}{degraded}")
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
             half_done = [event.words for event in self.events.since() if event.kind == HALF_DONE]
             return UpReport(outcome, sorted(self.configuration.instances), remaining, missing, half_done)

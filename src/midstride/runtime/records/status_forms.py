@@ -312,12 +312,26 @@ class RequirementStatus(Report, frozen=True, kw_only=True):
 
 
 class Middleware(Report, frozen=True, kw_only=True):
-    """The variables of the middleware that a back end sets for the processes it starts, and those it leaves."""
+    """The middleware, and the variables of it that a back end sets for the processes it starts, and those it leaves.
+
+    ``domain`` and ``distribution`` are empty where a back end has none, or does not know. ``problem``: what kept nodes
+    from finding each other as the manager was started; empty where nothing did.
+    """
 
     name: str
+    domain: str = ""
+    distribution: str = ""
+    problem: str = ""
     set: dict[str, str] = {}
     kept: dict[str, str] = {}
     notes: list[str] = []
+
+    @property
+    def where(self) -> str:
+        """The middleware, the domain and the distribution, in words; empty where there is neither of the latter."""
+        domain = f" in domain {self.domain}" if self.domain else ""
+        distribution = f" on ROS 2 {self.distribution}" if self.distribution else ""
+        return f"{self.name}{domain}{distribution}" if domain or distribution else ""
 
 
 class Status(Report, frozen=True, kw_only=True):

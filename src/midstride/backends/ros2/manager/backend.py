@@ -29,7 +29,7 @@ from midstride.ament_index import component_library, executable
 from midstride.backends import processes
 from midstride.backends.common import on_new_thread
 from midstride.backends.processes import ProcessBackend
-from midstride.backends.ros2 import dds_profiles, names
+from midstride.backends.ros2 import dds_profiles, distributions, names, zenoh_router
 from midstride.backends.ros2.component.early_join import hidden_node
 from midstride.backends.ros2.manager import component_containers, launching, process_nodes
 from midstride.backends.ros2.manager.addressed_services import AddressedServices
@@ -92,6 +92,7 @@ class Ros2Backend(ContainerBackend, Backend):
     ) -> None:
         super().__init__(control, logs, guardian)
         self._set_middleware = middleware_settings
+        self._problem = ""
         self.settings = dds_profiles.DdsSettings("")
         self.warnings: list[str] = []
         self._opened = 0.0
@@ -117,6 +118,7 @@ class Ros2Backend(ContainerBackend, Backend):
         context = Context()
         try:
             self.settings = dds_profiles.of_this_process(enabled=self._set_middleware)
+            self._problem = zenoh_router.problem(self.settings.middleware, os.environ)
             with dds_profiles.applied_profile(self.settings) as self.warnings:
                 rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
                 self._node = hidden_node(f"_midstride_manager_{os.getpid()}", context=context)
@@ -356,7 +358,13 @@ class Ros2Backend(ContainerBackend, Backend):
     def middleware(self) -> Middleware:
         found = self.settings.described(os.environ, self.warnings)
         library = self._foreign_nodes.library_origin()
-        return found if library is None else msgspec.structs.replace(found, notes=[*found.notes, library])
+        return msgspec.structs.replace(
+            found,
+            domain=self.reach()["ROS_DOMAIN_ID"],
+            distribution=distributions.of_this_process(),
+            problem=self._problem,
+            notes=[*found.notes, *([] if library is None else [library])],
+        )
 
     async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
         return self._joined().endpoints(topics)
