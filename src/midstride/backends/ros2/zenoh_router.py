@@ -1,4 +1,4 @@
-"""Whether a router of Zenoh answers: without one, rmw_zenoh's processes do not find each other."""
+"""A check that a router of Zenoh answers: without one, rmw_zenoh's processes do not find each other."""
 
 from __future__ import annotations
 
