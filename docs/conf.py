@@ -31,7 +31,10 @@ NAVIGATION = {
     ],
     "How to": ["docs/how-to/*"],
     "Reference": [
-        *(f"docs/reference/{page}" for page in ("commands", "language", "diagnostics", "api", "distributions")),
+        *(
+            f"docs/reference/{page}"
+            for page in ("commands", "language", "diagnostics", "metrics", "api", "distributions")
+        ),
         "docs/http",
     ],
     "Explanation": [

@@ -1,8 +1,8 @@
 """Writes what is generated from the source: ``python -m tools.reference``. ``--check`` names outdated ones.
 
 `make reference` writes them, `make lint` checks them. Each has one source: the catalogue of diagnostics, the help of
-the commands, the JSON Schema of specifications, the decisions for their index, the API's forms for the checker of
-the dashboard's modules, and Click's scripts for completion.
+the commands, the JSON Schema of specifications, the catalogue of metrics, the decisions for their index, the API's
+forms for the checker of the dashboard's modules, and Click's scripts for completion.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Final
 
 from midstride.codec.schema import specification_schema
 from midstride.lang.catalogue import reference
+from midstride.server.metrics.metric_catalogue import METRICS
 from tools import completions
 from tools.command_blocks import BLOCK, block, blocks
 from tools.dashboard_types import declarations
@@ -58,10 +59,23 @@ def index(page: str) -> str:
     return _INDEX.sub(lambda _: f"{lines}\n\n", page)
 
 
+def metrics(page: str) -> str:
+    """The page of the metrics with the table of them."""
+    rows = "".join(
+        f"| `{each.name}` | {each.kind} | {', '.join(f'`{label}`' for label in each.labels)} | {each.help}"
+        f"{f' Absent {each.absent}.' if each.absent else ''} |\n"
+        for each in METRICS
+    )
+    return _INDEX.sub(
+        lambda _: f"\n| metric | kind | labels besides `system` | meaning |\n|---|---|---|---|\n{rows}\n", page
+    )
+
+
 PAGES: Final[dict[Path, Callable[[str], str]]] = {
     DOCS / "reference" / "diagnostics.md": lambda _: reference(),
     DOCS / "reference" / "commands.md": commands,
     DOCS / "reference" / "specification.schema.json": schema,
+    DOCS / "reference" / "metrics.md": metrics,
     DECISIONS / "README.md": index,
     ROOT / "tools" / "dashboard" / "api.d.ts": lambda _: declarations(),
     completions.FOLDER / "midstride.bash": lambda _: completions.script("bash"),

@@ -84,7 +84,7 @@ def test_the_openapi_document_has_every_operation() -> None:
         assert {
             f"/api/v1{path}"
             for path in (*reading, *viewing, "/change", "/history", "/report", "/specification/earlier")
-        } == {path for path, operations in document["paths"].items() if "get" in operations}
+        } | {"/metrics"} == {path for path, operations in document["paths"].items() if "get" in operations}
         strategies = document["components"]["schemas"]["ChangeRequest"]["properties"]["strategy"]["enum"]
         assert strategies == ["minimal", "paper", "quiesce", "stop"]
 
@@ -104,6 +104,7 @@ def references(value: Any) -> Iterator[str]:
 TEXTS = {
     "/api/v1/view/stream": "text/event-stream",
     "/api/v1/report": "text/html",
+    "/metrics": "text/plain",
 }
 
 
@@ -176,7 +177,7 @@ def test_every_operation_is_in_the_documentation() -> None:
     app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager)))
     served = {(method.upper(), path) for path, methods in app.openapi()["paths"].items() for method in methods}
     page = (Path(__file__).parents[2] / "docs" / "http.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"^\| `([A-Z]+) (/api/v1[a-z/]*)", page, re.MULTILINE)) == served
+    assert set(re.findall(r"^\| `([A-Z]+) (/api/v1[a-z/]*|/metrics)", page, re.MULTILINE)) == served
 
 
 def test_answers_pass_through_whole() -> None:

@@ -10,6 +10,7 @@ from midstride.model.specification import Specification
 from midstride.plan.request import require
 from midstride.runtime.backend_protocol import Exited, OtherNodes
 from midstride.runtime.instance_life import LifeTable, ProcessEvent
+from midstride.runtime.records.counts import EventCounts
 from midstride.runtime.records.state_store import LeftState
 from midstride.runtime.watch.reported_values import ReportedValues
 
@@ -23,6 +24,7 @@ class RunningSystem:
     ``exported``: by role, the state of an instance that a change has removed before its successor was there.
     ``apart``: by role without an instance, the container that its last one had left for a process for itself, or that
     has exited or hung while it loaded that: the next one starts in a process for itself.
+    ``counts``: how often nodes have crashed, and how changes have ended, since the manager started.
     ``file`` was brought up or applied last, and ``changed_since``: another command has changed the specification then.
     """
 
@@ -36,6 +38,7 @@ class RunningSystem:
     other_nodes: dict[str, OtherNodes] = field(default_factory=dict)
     exported: dict[str, LeftState] = field(default_factory=dict)
     apart: dict[str, str] = field(default_factory=dict)
+    counts: EventCounts = field(default_factory=EventCounts)
 
     def has_instance(self, role: str) -> bool:
         """Return whether an instance has that role: it answers requests until its successor is to."""

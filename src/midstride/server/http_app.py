@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, FastAPI, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import HTMLResponse
+from fastapi.responses import HTMLResponse, PlainTextResponse
 from msgspec import UNSET
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
@@ -30,6 +30,7 @@ from midstride.runtime.records.status_forms import ChangeLock, ParametersReport,
 from midstride.server.checked_text import CheckedText, checked
 from midstride.server.error_answers import Failure, answer, status_of
 from midstride.server.manager_lifecycle import Lifecycle
+from midstride.server.metrics.metrics_source import metrics_answer
 from midstride.server.openapi import answers, document_forms, failures, request_body
 from midstride.server.rehearsing import Rehearser
 from midstride.server.report.documents import change_file
@@ -72,6 +73,7 @@ def create_app(live: LiveView) -> FastAPI:
     app.include_router(_reading(lifecycle, lifecycle.manager.watched.backend.name), prefix="/api/v1", tags=["reading"])
     app.include_router(viewing(live), prefix="/api/v1", tags=["viewing"])
     app.include_router(_changing(lifecycle), prefix="/api/v1", tags=["changing"])
+    app.include_router(_monitoring(lifecycle), tags=["monitoring"])
     app.include_router(dashboard())
     app.add_exception_handler(MidstrideError, _refused)
     app.add_exception_handler(SpecificationError, _faulty)
@@ -196,6 +198,24 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     ) -> Response:
         """The events so far."""
         return answer(manager.log(since))
+
+    return router
+
+
+def _monitoring(lifecycle: Lifecycle) -> APIRouter:
+    router = APIRouter()
+
+    @router.get(
+        "/metrics",
+        response_class=PlainTextResponse,
+        responses={
+            200: {"content": {"text/plain": {}}, "description": "the text format of Prometheus"},
+            **failures(),
+        },
+    )
+    async def metrics() -> Response:
+        """The health of the system for Prometheus, at the path that it expects. What is not known is absent."""
+        return await metrics_answer(lifecycle)
 
     return router
 

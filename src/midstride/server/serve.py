@@ -20,6 +20,7 @@ from midstride.server.auth import TokenAuth, new_token
 from midstride.server.connections import BACKLOG, Server, connection_limit, listen_tcp
 from midstride.server.http_app import create_app
 from midstride.server.manager_lifecycle import Lifecycle
+from midstride.server.metrics.metrics_source import MetricsFile
 from midstride.server.view.live import LiveView
 
 log = logging.getLogger(__name__)
@@ -38,17 +39,21 @@ class Tcp:
     host: str = LOOPBACK
 
 
-async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tcp | None = None) -> int:
+async def serve(
+    manager: Manager, workspace: Workspace, *, backend: str, tcp: Tcp | None = None, metrics_file: Path | None = None
+) -> int:
     """Bring the system up and serve it until it is down, or until SIGTERM or SIGINT; components then keep running.
 
     A change in progress at such a signal is rolled back first. The caller holds the workspace's lock. Returns the exit
     status: 1 if the system could not be brought up, or a server fails. Raises ManagerError if a socket cannot be
-    opened; nothing has been started then.
+    opened; nothing has been started then. So it is if ``metrics_file``, which is kept up to date meanwhile, cannot be
+    written.
     """
     lifecycle = Lifecycle(manager)
+    metrics = None if metrics_file is None else MetricsFile.require(metrics_file)
     live = LiveView(lifecycle)
     app = create_app(live)
-    with contextlib.ExitStack() as stack:
+    async with contextlib.AsyncExitStack() as stack:
         servers = [Server(app, stack.enter_context(_unix(workspace.socket)), connection_limit(*_UNIX_LIMIT))]
         if tcp is not None:
             listening = stack.enter_context(_tcp(tcp))
@@ -60,6 +65,8 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
             live.start()
             serving = [asyncio.ensure_future(server.serve()) for server in servers]
             lifecycle.bring_up()
+            if metrics is not None:
+                await stack.enter_async_context(metrics.kept(lifecycle))
             over = asyncio.ensure_future(lifecycle.until_over())
             await asyncio.wait({over, *serving}, return_when=asyncio.FIRST_COMPLETED)
             lifecycle.ended.set()

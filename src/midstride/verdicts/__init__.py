@@ -8,6 +8,6 @@ would have shown the contrary. :mod:`.conditions` says what runs, and what is mi
 """
 
 PUBLIC = (
-    "Assessment Assessments EXIT_STATUS SystemCondition assessment change_facts conditions listed "
+    "Assessment Assessments Continuity EXIT_STATUS SystemCondition assessment change_facts conditions listed "
     "not_yet_judged seconds_in_words silence_in_words system_condition unmeasured"
 )

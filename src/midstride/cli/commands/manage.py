@@ -42,6 +42,7 @@ CHECK_LOG: Final = 1.0
 @click.option("--finish-interrupted", is_flag=True)
 @click.option("--keep-degraded", is_flag=True)
 @click.option("--strict", is_flag=True)
+@click.option("--metrics-file", type=click.Path(path_type=Path))
 def manager_command(
     file: Path,
     backend: str,
@@ -54,6 +55,7 @@ def manager_command(
     finish_interrupted: bool,
     keep_degraded: bool,
     strict: bool,
+    metrics_file: Path | None,
 ) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives."""
     requested = load(file)
@@ -81,7 +83,7 @@ def manager_command(
             specification = requested if saved is None else saved.specification
             path = file.resolve()
             manager = Manager(specification, platform, workspace, path.parent, options=options, file=path, lock=lock)
-            return await serve(manager, workspace, backend=backend, tcp=tcp)
+            return await serve(manager, workspace, backend=backend, tcp=tcp, metrics_file=metrics_file)
         finally:
             shortening.cancel()
 

@@ -106,6 +106,12 @@ def manager_arguments(
     help="Serve the HTTP API on a TCP port of the loopback address as well; see docs/http.md.",
 )
 @click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead.")
+@click.option(
+    "--metrics-file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="PATH",
+    help="Keep metrics in this file for node_exporter's textfile collector; see docs/how-to/monitoring.md.",
+)
 @platform_options(spares=0)
 @click.option(
     "--finish-interrupted",
@@ -139,6 +145,7 @@ def up_command(
     detach: bool,
     http: int | None,
     http_host: str | None,
+    metrics_file: Path | None,
     use_sim_time: bool,
     no_middleware_settings: bool,
     no_diagnostics: bool,
@@ -177,6 +184,8 @@ def up_command(
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
     arguments += ["--finish-interrupted"] * finish_interrupted + ["--keep-degraded"] * keep_degraded
     arguments += ["--strict"] * strict
+    if metrics_file is not None:
+        arguments += ["--metrics-file", str(metrics_file.absolute())]
     with ended_by_signals() if stop_on_exit else nullcontext() as request:
         answer = bring_up(client, workspace, arguments)
         shown = partial(_show_how_it_came_up, client, workspace, specification, file, answer, http, http_host)

@@ -119,7 +119,9 @@ class ChangeSession:
             return self._refuse(because)
         if expected is not None and expected != self.system.revision:
             because = "the configuration has changed since the plan was shown; look at the new plan"
-            return Outcome(outcome="refused", because=because)
+            refused = Outcome(outcome="refused", because=because)
+            self.system.counts.changed(refused)
+            return refused
         try:
             plan, target = await self.planner.plan(request)
             self.store.require()
@@ -150,7 +152,9 @@ class ChangeSession:
 
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
-        return Outcome(outcome="refused", because=because, verdict=verdict)
+        outcome = Outcome(outcome="refused", because=because, verdict=verdict)
+        self.system.counts.changed(outcome)
+        return outcome
 
     async def begin(
         self,
@@ -221,6 +225,7 @@ class ChangeSession:
         self.reconciler.degraded.clear()
         try:
             outcome = await self._carry_out(change)
+            self.system.counts.changed(outcome)
         finally:
             self.commands.change = None
             self.client.listeners.remove(modes.on_component_event)

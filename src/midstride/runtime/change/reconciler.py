@@ -151,6 +151,8 @@ class Reconciler:
         if event.loading:
             self._keep_apart(event.instance)
         self.system.life.exited(event)
+        if (role := self._role_of(event.instance)) is not None:
+            self.system.counts.crashes[role] += 1
         self.events.add("exited", event.details, log=event.log_tail)
         change = self.commands.change
         if event.instance in self.system.configuration.instances and change is not None:
@@ -159,6 +161,15 @@ class Reconciler:
             self._in_background(change.crashed())
         else:
             self._reconcile_soon()
+
+    def _role_of(self, name: str) -> str | None:
+        """The role of an instance of the model, or of the change in progress."""
+        live, change = self.system.configuration.instances.get(name), self.commands.change
+        if live is not None or change is None:
+            return None if live is None else live.role
+        with contextlib.suppress(KeyError):
+            return change.plan.change.role_of(name)
+        return None
 
     def _keep_apart(self, name: str) -> None:
         """A container has exited or hung while it loaded ``name``: the next of its role has a process for itself."""

@@ -11,7 +11,7 @@ from midstride.codec.form import Report
 from midstride.codec.specification_form import SpecificationForm, decode_specification
 from midstride.runtime.records.disk import Database
 from midstride.runtime.records.journal_records import IN_FORCE
-from midstride.runtime.records.measure import SwapReport
+from midstride.runtime.records.measure import SwapReport, longest_gap, missed_messages
 from midstride.runtime.records.reports import OutcomeKind
 from midstride.verdicts.assessment import Assessments
 
@@ -102,9 +102,7 @@ def _change(database: Database, row: tuple[Any, ...]) -> dict[str, Any]:
     swaps = msgspec.json.decode(row[-1] or "[]", type=list[SwapReport])
     query = "SELECT words, outcome, seconds FROM steps WHERE change = ? ORDER BY number"
     found["steps"] = [_named(("words", "outcome", "seconds"), step) for step in database.read(query, found["number"])]
-    gaps, counts = [swap.gap for swap in swaps], [swap.missed for swap in swaps]
-    found["gap"] = None if None in gaps else max(gaps, default=None)  # type: ignore[type-var]
-    found["missed"] = None if None in counts or not counts else sum(filter(None, counts))
+    found["gap"], found["missed"] = longest_gap(swaps), missed_messages(swaps)
     (said,) = next(iter(database.read(_CONTINUITY, found["number"])), (None,))
     return found | {"swaps": msgspec.to_builtins(swaps), "continuity": msgspec.json.decode(said) if said else None}
 

@@ -47,6 +47,18 @@ def unknown_report(topic: str, subscriber: str, period: float | None) -> SwapRep
     return SwapReport(topic, subscriber, period, None, None, None, None, None)
 
 
+def longest_gap(swaps: Sequence[SwapReport]) -> float | None:
+    """The longest gap (s) at the subscribers of a change; None if there is none, or one of them is not known."""
+    gaps = [swap.gap for swap in swaps]
+    return None if None in gaps else max(gaps, default=None)  # type: ignore[type-var]
+
+
+def missed_messages(swaps: Sequence[SwapReport]) -> int | None:
+    """The messages that all subscribers have missed; None if there are none, or one does not know."""
+    counts = [swap.missed for swap in swaps]
+    return None if None in counts or not counts else sum(filter(None, counts))
+
+
 @dataclass(frozen=True, slots=True)
 class Observation:
     """The messages recorded at one input between two times of its steady clock (ns).

@@ -184,6 +184,7 @@ class Respawner(ReconciliationObserver):
                     if request.restart and not (beside or record.by_itself):
                         beside = self._of_the_same_process(role)
                         request = PlanRequest(restart=(role, *(other for other, _ in beside)))
+                    self.system.counts.respawns.update({role, *(other for other, _ in beside)})
                     outcome = await self.session.change(request, brief=True, by="the restart policy", recovery=True)
                     failed = None if outcome.outcome == "done" else f"{words} failed: {outcome.because}"
         except Exception as error:  # nothing awaits this task, so errors are logged here
