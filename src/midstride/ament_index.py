@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 
 from midstride.errors import StartFailed
 from midstride.model.near_miss import did_you_mean
@@ -24,11 +25,20 @@ def prefix_of(package: str, environment: Mapping[str, str]) -> str | None:
     return next(found, None)
 
 
+def installed(environment: Mapping[str, str]) -> list[str]:
+    """The names of all installed packages."""
+    found: set[str] = set()
+    for prefix in prefixes(environment):
+        with suppress(OSError):
+            found.update(name for name in os.listdir(os.path.join(prefix, INDEX)) if not name.startswith("."))
+    return sorted(found)
+
+
 def executable(package: str, name: str, environment: Mapping[str, str]) -> str:
     """The path of an executable of ``package``. Raises StartFailed, naming what was searched."""
     prefix = prefix_of(package, environment)
     if prefix is None:
-        raise _not_found(package, INDEX, environment)
+        raise StartFailed(not_installed(package, environment))
     folder = os.path.join(prefix, "lib", package)
     path = os.path.join(folder, name)
     if os.path.isfile(path) and os.access(path, os.X_OK):
@@ -95,16 +105,16 @@ def component_library(package: str, plugin: str, environment: Mapping[str, str])
         return libraries[plugin]
     if prefix_of(package, environment) is not None:
         raise StartFailed(f"package {package} registers no component classes (there is no {COMPONENTS}/{package})")
-    raise _not_found(package, COMPONENTS, environment)
+    raise StartFailed(not_installed(package, environment, COMPONENTS))
 
 
-def _not_found(package: str, index: str, environment: Mapping[str, str]) -> StartFailed:
+def not_installed(package: str, environment: Mapping[str, str], index: str = INDEX) -> str:
     """Say that no prefix has ``package`` in its ``index``, or that there is none to look at."""
     searched = prefixes(environment)
     if not searched:
         remedy = "AMENT_PREFIX_PATH is not set; source the setup file of your ROS"
-        return StartFailed(f"package {package} cannot be looked up: {remedy}")
-    return StartFailed(f"package {package} is not installed: there is no {index}/{package} in {' or '.join(searched)}")
+        return f"package {package} cannot be looked up: {remedy}"
+    return f"package {package} is not installed: there is no {index}/{package} in {' or '.join(searched)}"
 
 
 def _executables(folder: str) -> list[str]:

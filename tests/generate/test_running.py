@@ -57,7 +57,9 @@ def test_the_sample_is_generated_runs_and_is_changed(
     folder = tmp_path / "made"
     generated = midstride("generate", str(patrol), "-o", str(folder), *(["--ros", "1"] if backend == "ros1" else []))
     assert generated.status == 0, generated.err
-    assert generated.out.endswith(f"Start it with `midstride up {folder}/patrol.stride`.\n")
+    assert generated.out.endswith(
+        f"it starts with `midstride up patrol patrol.stride`.\nStart it with `midstride up {folder}/patrol.stride`.\n"
+    )
     file = folder / "patrol.stride"
     assert midstride("check", "--strict", str(file)).status == 0
     with own_master_uri() if backend == "ros1" else nullcontext() as uri:
@@ -168,7 +170,8 @@ def test_edits_survive_regeneration(midstride: Midstride, tmp_path: Path) -> Non
 
 
 @pytest.mark.skipif(importlib.util.find_spec("setuptools") is None, reason="setuptools is not installed here")
-def test_what_colcon_installs_runs(midstride: Midstride, tmp_path: Path) -> None:
+@pytest.mark.parametrize("named", [["chain", "chain.stride"], ["package://chain/chain.stride"]])
+def test_what_colcon_installs_runs(midstride: Midstride, tmp_path: Path, named: list[str]) -> None:
     """Programs run by path and programs run as modules, from the folder where colcon installs them."""
     specification = tmp_path / "chain.stride"
     specification.write_text(CHAIN, encoding="utf-8")
@@ -181,11 +184,12 @@ def test_what_colcon_installs_runs(midstride: Midstride, tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
     shutil.rmtree(folder)
     (packages,) = prefix.glob("lib/python3*/site-packages")
-    midstride.environment["PYTHONPATH"] = str(packages)
+    midstride.environment |= {"PYTHONPATH": str(packages), "AMENT_PREFIX_PATH": str(prefix)}
     share = prefix / "share" / "chain"
     assert (share / "launch" / "chain.launch.py").exists()
-    up = midstride("up", str(share / "chain.stride"), "--backend", "sim", "--detach")
+    up = midstride("up", *named, "--backend", "sim", "--detach")
     assert up.status == 0, up.out + up.err
+    assert "specification: package://chain/chain.stride\n" in midstride("status").out
     assert set(modes(midstride).values()) >= {"normal"}
     assert "off" not in modes(midstride).values()
 
@@ -198,7 +202,7 @@ def test_for_ros_1_there_are_catkins_files(midstride: Midstride, tmp_path: Path)
     installed = 'install(FILES "chain.stride" "sink.py" "source.py" DESTINATION "${CATKIN_PACKAGE_SHARE_DESTINATION}")'
     assert installed in (folder / "CMakeLists.txt").read_text()
     assert "packages=['filters']" in (folder / "setup.py").read_text()
-    assert 'args="$(dirname)/../chain.stride"' in (folder / "launch" / "chain.launch").read_text()
+    assert 'args="package://chain/chain.stride"' in (folder / "launch" / "chain.launch").read_text()
     assert os.access(folder / "up.sh", os.X_OK)
     assert subprocess.run(["sh", "-n", str(folder / "up.sh")], check=False).returncode == 0
     for path in folder.glob("**/*.py"):

@@ -401,7 +401,7 @@ def test_files_of_any_name_are_quoted(name: str) -> None:
     described = ElementTree.fromstring(files["package.xml"]).findtext("description")
     assert described == f"The system s, described in {file}"
     node = ElementTree.fromstring(files["launch/s.launch"]).find("node")
-    assert node is not None and shlex.split(node.attrib["args"]) == [f"$(dirname)/../{file}"]
+    assert node is not None and shlex.split(node.attrib["args"]) == [f"package://s/{file}"]
     ast.parse(files["a.py"])
     second = project(SAMPLE, file, sources)
     described = next(each.text for each in second.files if each.path.name == "package.xml")
@@ -481,7 +481,7 @@ def test_the_launch_file_starts_the_system_and_ends_it_with_the_launch(monkeypat
     assert type(described) is LaunchDescription
     up, registered = vars(described)["entities"]
     assert type(up) is ExecuteProcess
-    assert vars(up) == {"cmd": ["midstride", "up", "/ws/share/s/s.stride"], "output": "screen", "emulate_tty": True}
+    assert vars(up) == {"cmd": ["midstride", "up", "package://s/s.stride"], "output": "screen", "emulate_tty": True}
     (down,) = registered.event_handler.on_shutdown
     commands: list[list[str]] = []
     monkeypatch.setattr(subprocess, "run", lambda command, check: commands.append(command))

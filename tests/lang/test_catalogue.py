@@ -32,6 +32,8 @@ def written(example: CatalogueExample, folder: Path) -> Path:
 def test_every_entry_is_reachable_and_rendered_as_recorded(
     code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for variable in ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH"):
+        monkeypatch.delenv(variable, raising=False)
     shown = []
     for number, example in enumerate(CATALOGUE[code].examples):
         folder = tmp_path / str(number)

@@ -317,7 +317,7 @@ def test_a_cycle_of_includes_through_a_link_ends(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to(tmp_path)
     (tmp_path / "a.stride").write_text('include "loop/a.stride"\n')
     (tmp_path / "s.stride").write_text('system s\ninclude "a.stride"\n')
-    assert {d.code for d in load(tmp_path / "s.stride").diagnostics} == {"E104"}
+    assert {d.code for d in load(tmp_path / "s.stride").diagnostics} == {"E103"}
 
 
 def test_a_path_that_is_not_a_file_is_refused_without_waiting(tmp_path: Path) -> None:

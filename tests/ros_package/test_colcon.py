@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.conftest import running
 from tools import changelog_rst
 from tools.wheel_contents import expected
 
@@ -22,6 +23,22 @@ EXTENSIONS = "ros bash recursive-crawl metadata package-selection package-inform
 COLCON = ["colcon-core", *(f"colcon-{name}" for name in EXTENSIONS.split())]
 OLDEST = "setuptools==59.6.0"
 SOURCES = ("colcon.pkg", "examples", "LICENSE", "package.xml", "pyproject.toml", "ros", "setup.cfg", "setup.py", "src")
+
+NO_NOTIFICATION = {"COLCON_EXTENSION_BLOCKLIST": "colcon_core.event_handler.desktop_notification"}
+SPECIFICATION = """
+system chain
+topic /a : std_msgs/msg/String
+component Source {
+  run "python3 -m chain_nodes.source"
+  output out
+  functionality talk {
+    produces out
+    mode normal { guarantee out : std_msgs/msg/String @ 10 Hz }
+    mode off { }
+  }
+}
+node source : Source { out -> /a }
+"""
 
 
 class Workspace:
@@ -34,7 +51,7 @@ class Workspace:
             "PATH": f"{python.parent}:/usr/bin:/bin",
             "HOME": str(folder),
             "MIDSTRIDE_BACKEND": "sim",
-            "COLCON_EXTENSION_BLOCKLIST": "colcon_core.event_handler.desktop_notification",
+            **NO_NOTIFICATION,
         }
         package = folder / "src" / "midstride"
         ignored = shutil.ignore_patterns("__pycache__")
@@ -89,6 +106,30 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (site,) = folder.glob("lib/python*/site-packages")
     (site / "beside.pth").write_text("".join(f"{path}\n" for path in sys.path if path.endswith("site-packages")))
     return found
+
+
+@pytest.mark.full
+@pytest.mark.ros2
+def test_a_generated_package_is_built_and_brought_up_by_its_name(tmp_path: Path, python: Path) -> None:
+    (tmp_path / "spec.stride").write_text(SPECIFICATION, encoding="utf-8")
+    for midstride in running():
+        folder = tmp_path / "src" / "chain"
+        done = midstride("generate", str(tmp_path / "spec.stride"), "-o", str(folder))
+        assert done.status == 0, done.err
+        environment = {"PATH": f"{python.parent}:/usr/bin:/bin", "HOME": str(tmp_path), **NO_NOTIFICATION}
+        print_paths = '. install/setup.bash && echo "$AMENT_PREFIX_PATH $PYTHONPATH"'
+        command = ["bash", "-c", f"colcon build --symlink-install >&2 && {print_paths}"]
+        built = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert built.returncode == 0, built.stderr
+        prefixes, packages = built.stdout.split()
+        before = os.environ.get("PYTHONPATH")
+        midstride.environment |= {"AMENT_PREFIX_PATH": prefixes, "PYTHONPATH": f"{packages}:{before or ''}"}
+        up = midstride("up", "chain", "spec.stride", "--detach", timeout=60)
+        assert up.status == 0, up.out + up.err
+        file = midstride("status", "--json").json["file"]
+        assert file == str(tmp_path / "install" / "chain" / "share" / "chain" / "spec.stride")
+        applied = midstride("apply", "package://chain/spec.stride", "--yes")
+        assert applied.status == 0 and "already matches" in applied.out, applied.out + applied.err
 
 
 @pytest.mark.full

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import shutil
 import sys
 import tempfile
@@ -16,17 +17,22 @@ from midstride.codec.specification_form import decode_specification
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
+from midstride.package_files import PACKAGE_NAME, SCHEME, NotFound, name_of, stride_files
 
 # Longer than any specification or plan. A device that never ends, such as /dev/zero, would fill the memory.
 MAX_CHARACTERS: Final = 64_000_000
+# How many specifications of a package a message names.
+_MOST_NAMED: Final = 4
 # Why a file that can be written may not be replaced: its folder is another's, or it is mounted alone.
 _IN_PLACE: Final = frozenset({errno.EACCES, errno.EPERM, errno.EROFS, errno.EBUSY})
 
 
 def as_typed_here(path: str) -> str:
-    """An absolute path as a user would type it: relative to the current folder if it is inside."""
+    """An absolute path as a user would type it: relative to the current folder if it is inside, else by its package."""
     here = Path.cwd()
-    return str(Path(path).relative_to(here)) if Path(path).is_relative_to(here) else path
+    if Path(path).is_relative_to(here):
+        return str(Path(path).relative_to(here))
+    return name_of(path, os.environ) or path
 
 
 def read(path: Path) -> Specification:
@@ -125,14 +131,26 @@ def _text(path: Path, errors: str = "strict") -> str:
         folder = path.parent
         files = [entry.name for entry in _candidates(folder)] if folder.is_dir() else []
         hint = suggestion(path.name, files)
-        raise SpecificationError(f"there is no file {path}" + (f"; {hint}" if hint else "")) from None
+        hints = [each for each in (hint, _in_package(str(path))) if each]
+        raise SpecificationError("; ".join([f"there is no file {path}", *hints])) from None
     except IsADirectoryError:
         inside = ", ".join(sorted(str(path / entry.name) for entry in _candidates(path)))
-        raise SpecificationError(f"{path} is a folder" + (f"; give a file in it: {inside}" if inside else "")) from None
+        hints = [each for each in (inside and f"give a file in it: {inside}", _in_package(str(path))) if each]
+        raise SpecificationError("; ".join([f"{path} is a folder", *hints])) from None
     except UnicodeDecodeError:
         raise SpecificationError(f"cannot read {path}: it is not valid UTF-8; save it as UTF-8") from None
     except OSError as error:
         raise SpecificationError(f"cannot read {path}: {error}") from None
+
+
+def _in_package(word: str) -> str | None:
+    """The specifications of an installed package, as they can be named; None where ``word`` is no name of one."""
+    try:
+        files = stride_files(word, os.environ) if PACKAGE_NAME.fullmatch(word) else []
+    except NotFound:
+        return None
+    listed = " or ".join(f"`{SCHEME}{word}/{file}`" for file in files[:_MOST_NAMED])
+    return f"package {word} has {listed}" if files else None
 
 
 def _standard_input() -> str:

@@ -10,6 +10,7 @@ import click
 
 from midstride.cli import shell_completion
 from midstride.cli.change_options import parse_new_node, parse_pair, strategy_options
+from midstride.cli.specification_argument import SpecificationPath
 
 
 def planned_change_options(function: Any) -> Any:
@@ -29,7 +30,7 @@ def planned_change_options(function: Any) -> Any:
         click.option("--add", "added", multiple=True, metavar="'NODE COMPONENT PORT=TOPIC...'", help="Add a node."),
         click.option("--restart", "restarted", **node, help="Restart a node."),
         click.option("--replace", "replaced", **pair, help="Replace the component of NODE."),
-        click.option("--to", type=click.Path(path_type=Path), metavar="NEW", help="Change to the specification NEW."),
+        click.option("--to", type=SpecificationPath(), metavar="NEW", help="Change to the specification NEW."),
     ):
         function = option(function)
     return strategy_options(function)

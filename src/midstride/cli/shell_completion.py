@@ -23,12 +23,15 @@ from click.shell_completion import (
     split_arg_string,
 )
 
+from midstride.cli.specification_argument import path_of_words
 from midstride.codec.form import Document
 from midstride.errors import MidstrideError
 
 VARIABLE: Final = "_MIDSTRIDE_COMPLETE"
 # How long a manager may take to answer (s); a person is waiting in the middle of a line.
 TIMEOUT: Final = 0.3
+# Where Bash splits words, by default, that are one word to every program.
+_SPLIT: Final = ("=", ":", ":=")
 
 Complete = Callable[[click.Context, click.Parameter, str], list[str]]
 
@@ -49,7 +52,7 @@ def complete(cli: click.Command, instruction: str) -> int:
 
 @add_completion_class
 class _Bash(BashComplete):
-    """Bash splits a word at ``=`` and completes the last piece alone; Click expects whole words."""
+    """Bash splits a word at ``=`` and ``:`` and completes the last piece alone; Click expects whole words."""
 
     _prefix = ""
 
@@ -58,12 +61,12 @@ class _Bash(BashComplete):
         pieces = split_arg_string(os.environ["COMP_WORDS"])[1 : current + 1]
         words: list[str] = []
         for piece in [*pieces, *[""] * (current - len(pieces))]:
-            if words and (piece == "=" or words[-1].endswith("=")):
+            if words and (piece in _SPLIT or words[-1].endswith(_SPLIT)):
                 words[-1] += piece
             else:
                 words.append(piece)
         *before, incomplete = words
-        self._prefix = "".join(incomplete.rpartition("=")[:2])
+        self._prefix = incomplete[: max(map(incomplete.rfind, _SPLIT)) + 1]
         return before, incomplete
 
     def format_completion(self, item: CompletionItem[str]) -> str:
@@ -212,8 +215,10 @@ def _system(context: click.Context) -> Document:
     """The system that the command is about: that of its file, where it names one, else the running one."""
     parameters = {parameter.name: parameter for parameter in context.command.params}
     if isinstance(parameters.get("file"), click.Argument):
-        # While the value of an option is missing, Click leaves the arguments unparsed.
-        named = context.params.get("file") or next(iter(context.args), None)
+        named = context.params.get("file")
+        if named is None and context.args:  # while the value of an option is missing, Click leaves them unparsed
+            words = context.args if parameters["file"].nargs == -1 else context.args[:1]
+            named = path_of_words(tuple(words))
         if named is not None:
             return _file(Path(named))
     return _running(context)

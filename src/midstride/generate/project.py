@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import Any, Final, Literal
@@ -34,8 +34,9 @@ class GeneratedFile:
 
 @dataclass(slots=True)
 class Project:
-    """The files, and why some components have none."""
+    """The files of the package ``package``, and why some components have none."""
 
+    package: str
     files: list[GeneratedFile] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
 
@@ -63,9 +64,14 @@ _TEMPLATES.filters |= {
 
 
 def project(
-    specification: Specification, file: str, sources: Mapping[PurePosixPath, str], ros: Literal[1, 2] = 2
+    specification: Specification,
+    file: str,
+    sources: Mapping[PurePosixPath, str],
+    ros: Literal[1, 2] = 2,
+    packages: Iterable[str] = (),
 ) -> Project:
     """The project of a system specified in ``file``; ``sources`` are its files, by path relative to its folder.
+    Other files of it are in ``packages``.
 
     The copy of the specification states its containers, so that none is started but by ``midstride up``. Raises
     SpecificationError for what ROS 1 does not have, and for a component whose skeleton cannot be written.
@@ -76,7 +82,7 @@ def project(
             f"{', '.join(composable)}: ROS 1 has no composable nodes (`run component`); omit `--ros 1`, or state a "
             "program for each (`run`)"
         )
-    builder = _ProjectBuilder(specification, file, sources)
+    builder = _ProjectBuilder(specification, file, sources, Project(snake(specification.name)), packages=set(packages))
     builder.packages |= {each.package for each in specification.containers.values()}
     for _, component in sorted(specification.components.items()):
         builder.component(component)
@@ -90,7 +96,7 @@ class _ProjectBuilder:
     specification: Specification
     file: str
     sources: Mapping[PurePosixPath, str]
-    result: Project = field(default_factory=Project)
+    result: Project
     programs: dict[PurePosixPath, tuple[ProgramFile, str]] = field(default_factory=dict)  # each with its component
     packages: set[str] = field(default_factory=set)
 
@@ -132,7 +138,7 @@ class _ProjectBuilder:
     def package_files(self, ros: Literal[1, 2]) -> None:
         """Add what makes the project a package of ROS, with its launch file."""
         system = self.specification.name
-        package = snake(system)
+        package = self.result.package
         packaged = [run.path for run, _ in self.programs.values() if run.packaged]
         folders = {".".join(parent.parts) for path in packaged for parent in path.parents if parent.parts}
         context: dict[str, Any] = {

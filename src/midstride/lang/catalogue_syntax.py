@@ -13,7 +13,8 @@ SYNTAX: Final = (
     entry(
         "E100: file cannot be read",
         """The file does not exist, cannot be read or is not a regular file. Paths of includes and parameter files
-        are relative to the file that names them.""",
+        are relative to the file that names them, or begin with `package://PACKAGE/` and are below the share folder of
+        that package.""",
         'system s\ninclude "missing.stride"\n',
         'system s\nparameters "missing.yaml"\n' + TALKING.removeprefix("system s\n"),
         'system s\ninclude ""\n',
@@ -63,12 +64,22 @@ SYNTAX: Final = (
     entry(
         "E107: file may not be read",
         """Diagnostics quote the files that they are about. So that somebody else's specification cannot print any file
-        of this machine, it reads files only from below the folder of the file that names the system, and only
-        `.stride` files and, for parameters, `.yaml` and `.yml` files. Other folders can be named with
+        of this machine, it reads files only from below the folder of the file that names the system and from packages
+        that are installed in the workspaces that you have sourced, and only `.stride` files and, for parameters,
+        `.yaml` and `.yml` files. Other folders can be named with
         `midstride --include-path DIR`, or in the environment variable MIDSTRIDE_INCLUDE_PATH.""",
         'system s\ninclude "../sensors.stride"\n',
         'system s\ninclude "secrets.env"\n',
         'system s\nparameters "/proc/self/environ"\n' + TALKING.removeprefix("system s\n"),
+    ),
+    entry(
+        "E108: package not found",
+        """A file of a package is named `package://PACKAGE/FILE`, where FILE is below `share/PACKAGE` of where the
+        package is installed. The package must be in a workspace whose `setup.bash` is sourced: packages are looked up
+        in AMENT_PREFIX_PATH, and those of ROS 1 below ROS_PACKAGE_PATH. FILE cannot lead out of the package.""",
+        'system s\ninclude "package://robot_parts/arm.stride"\n',
+        'system s\ninclude "package://arm.stride"\n',
+        'system s\nparameters "package://robot_parts/arm.yaml"\n' + TALKING.removeprefix("system s\n"),
     ),
     # -- characters -----------------------------------------------------------------------------------------
     entry(

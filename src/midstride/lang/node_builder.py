@@ -16,7 +16,15 @@ from midstride.lang.parameter_files import SectionInFile, read_sections, section
 from midstride.lang.rcl_parameters import KEY, ParameterValueAt
 from midstride.lang.respawn_builder import respawn_policy
 from midstride.lang.source import Source, Span
-from midstride.lang.source_files import Bounds, FileReader, Unreadable, read_source, resolve_name, shown_path
+from midstride.lang.source_files import (
+    Bounds,
+    FileReader,
+    Unreadable,
+    hint_for_missing,
+    read_source,
+    resolve_name,
+    shown_path,
+)
 from midstride.lang.syntax import ComponentDeclaration, Name, ParameterEntry
 from midstride.lang.yaml_events import InvalidYaml
 from midstride.model.component import ROS_PARAMETERS, ComponentSpec, ParameterSection, ParameterSpec, ParameterValue
@@ -224,6 +232,7 @@ class NodeBuilder:
                         found.for_all(parameter.name.text, value)
 
     def _add_file(self, found: _Stated, path: Name, named: bool = False) -> None:
+        key = None
         try:
             key = self.bounds.path(path, ".yaml", ".yml")
             if key not in self._files:
@@ -234,7 +243,8 @@ class NodeBuilder:
                 self._files[key] = None if sections is None else (source, sections)
         except Unreadable as error:
             message = f"`{path.text}` cannot be read: {error}"
-            self.reporter.report(error.code, path.span, message, help=error.help)
+            help = error.help or (None if key is None else hint_for_missing(key, path))
+            self.reporter.report(error.code, path.span, message, help=help)
             return
         if (file := self._files[key]) is None:
             return

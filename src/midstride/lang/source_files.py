@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -19,6 +20,7 @@ from midstride.lang.parser import parse
 from midstride.lang.source import Source
 from midstride.lang.syntax import File, IncludeStatement, Item, Name, NamespaceBlock
 from midstride.model.near_miss import did_you_mean
+from midstride.package_files import NotFound, is_name, other_file, owner, path_of
 
 FileReader = Callable[[Path], str]
 
@@ -97,7 +99,7 @@ def include_folders() -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Which files a specification may read: those below ``folders``, which are real paths.
+    """Which files a specification may read: those below ``folders``, which are real paths, and those of packages.
 
     Diagnostics quote what they are about, so somebody else's specification must not choose freely what is read.
     """
@@ -114,14 +116,22 @@ class Bounds:
     def contain(self, path: str) -> bool:
         """Return whether the file at ``path`` may be read."""
         real = os.path.realpath(path)
-        return any(os.path.commonpath((folder, real)) == folder for folder in self.folders)
+        if any(os.path.commonpath((folder, real)) == folder for folder in self.folders):
+            return True
+        return owner(path, os.environ) is not None  # installed by the user, who has sourced the workspace
 
     def path(self, name: Name, *endings: str) -> str:
-        """The path of a file, which is relative to the file that names it. Raises Unreadable if it may not be read."""
+        """The path of a file: of a package, or relative to the file that names it. Raises Unreadable if it may not be
+        read, or if there is no such package."""
         if not name.text or "\0" in name.text:
             raise Unreadable("E100", "this is not a file name")
         if not name.text.endswith(endings):
             raise Unreadable("E107", f"its name does not end in {' or '.join(endings)}")
+        if is_name(name.text):
+            try:
+                return path_of(name.text, os.environ)
+            except NotFound as error:
+                raise Unreadable("E108", error.message, error.help) from None
         base = name.span.source.path
         path = os.path.normpath((Path() if base is None else base.parent) / name.text)
         if not self.contain(path):
@@ -132,7 +142,10 @@ class Bounds:
 
 
 def shown_path(name: Name) -> str:
-    """The path of ``name``, relative to where the file that names it is shown to be."""
+    """The path of ``name``, relative to where the file that names it is shown to be; that of a file of a package."""
+    if is_name(name.text):
+        with suppress(NotFound):
+            return path_of(name.text, os.environ)
     return os.path.normpath(os.path.join(os.path.dirname(name.span.source.name), name.text))
 
 
@@ -155,7 +168,7 @@ class Loader:
     def load(self, source: Source) -> None:
         """Parse ``source`` and everything it includes."""
         file = self._parsed(source)
-        key = os.path.normpath(source.path) if source.path is not None else source.name
+        key = os.path.realpath(source.path) if source.path is not None else source.name
         self._files[key] = file
         self._place(key, file, "")
 
@@ -183,12 +196,13 @@ class Loader:
     def _include(self, name: Name, namespace: str) -> None:
         text, span = name
         try:
-            key = self.bounds.path(name, ".stride")
+            path = self.bounds.path(name, ".stride")
         except Unreadable as error:
             self.files_missing = True
             message = f"`{text}` cannot be included: {error}" if text else str(error)
             self.reporter.report(error.code, span, message, help=error.help)
             return
+        key = os.path.realpath(path)  # a file of a package may be named in two ways
         if key in self._stack:
             cycle = [*self._stack[self._stack.index(key) :], key]
             chain = " includes ".join(os.path.basename(name) for name in cycle)
@@ -202,7 +216,7 @@ class Loader:
             self.reporter.report("E104", span, f"include limit exceeded: {bound}", help=help)
             return
         if key not in self._files:
-            self._files[key] = self._read(key, name)
+            self._files[key] = self._read(path, name)
         file = self._files[key]
         if file is None:
             self.files_missing = True
@@ -224,27 +238,30 @@ class Loader:
             return f"more than {MAX_TOTAL // 2**20} MiB"
         return None
 
-    def _read(self, key: str, name: Name) -> File | None:
+    def _read(self, path: str, name: Name) -> File | None:
         shown = shown_path(name)
         try:
-            return self._parsed(read_source(Path(key), self.read, shown))
+            return self._parsed(read_source(Path(path), self.read, shown))
         except Unreadable as error:
-            help = error.help or _hint_for_missing(key, shown)
+            help = error.help or hint_for_missing(path, name)
             self.reporter.report(error.code, name.span, f"`{name.text}` cannot be included: {error}", help=help)
             return None
 
 
-def _hint_for_missing(path: str, shown: str) -> str | None:
+def hint_for_missing(path: str, file: Name) -> str | None:
     """A similar file name for one that does not exist, else where it was searched for."""
     if os.path.exists(path):
         return None
+    if is_name(file.text) and (owned := owner(path, os.environ)) is not None:
+        return f"in {owned[1]}: {other_file(owned[1], os.path.relpath(path, owned[1]))}"
     folder, name = os.path.split(path)
+    endings = (".stride",) if name.endswith(".stride") else (".yaml", ".yml")
     try:
         with os.scandir(folder or ".") as entries:
-            files = [entry.name for entry in islice(entries, _MAX_COMPARED) if entry.name.endswith(".stride")]
+            files = [entry.name for entry in islice(entries, _MAX_COMPARED) if entry.name.endswith(endings)]
     except (OSError, ValueError):
         files = []
-    return did_you_mean(name, files) or f"the path is relative to this file: `{shown}`"
+    return did_you_mean(name, files) or f"the path is relative to this file: `{shown_path(file)}`"
 
 
 def resolve_name(namespace: str, name: str) -> str:

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
-from typing import Final
 
 from midstride.ament_index import executable, prefix_of, prefixes
 from midstride.errors import StartFailed
 from midstride.launch_files.findings import UnknownValue
-
-MAX_FOLDERS: Final = 50_000
-_NAME: Final = re.compile(rb"<name>\s*([A-Za-z][A-Za-z0-9_-]*)\s*</name>")
-PACKAGE_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-_HEAD: Final = 65_536
+from midstride.package_files import PACKAGE_NAME, packages_below
 
 
 class Packages:
@@ -69,26 +62,4 @@ class Packages:
 
     @cached_property
     def _sources(self) -> dict[str, str]:
-        """The folder of each package in the source trees: the one with its `package.xml`."""
-        found: dict[str, str] = {}
-        seen = 0
-        for root in self._folders:
-            for folder, inner, files in os.walk(root):
-                seen += 1
-                if seen > MAX_FOLDERS:
-                    return found
-                inner[:] = sorted(name for name in inner if not name.startswith("."))
-                if "package.xml" in files:
-                    inner.clear()
-                    if match := _NAME.search(_head_of(Path(folder, "package.xml"))):
-                        found.setdefault(match[1].decode(), folder)
-        return found
-
-
-def _head_of(path: Path) -> bytes:
-    """Nothing for a file that cannot be read, such as a link that leads nowhere."""
-    try:
-        with open(path, "rb") as stream:
-            return stream.read(_HEAD)
-    except OSError:
-        return b""
+        return packages_below(self._folders)

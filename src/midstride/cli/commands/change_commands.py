@@ -15,6 +15,7 @@ from midstride.cli import change_options, shell_completion
 from midstride.cli.client import Client
 from midstride.cli.output import console, is_interactive, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, in_file, system_option
+from midstride.cli.specification_argument import SpecificationPath, absolute, specification_argument
 from midstride.cli.user_name import user_name
 from midstride.codec.form import Document
 from midstride.errors import ChangeForbidden, PlanRefused
@@ -73,7 +74,7 @@ def _components_option(function: Any) -> Any:
     return click.option(
         "--from",
         "file",
-        type=click.Path(path_type=Path),
+        type=SpecificationPath(),
         metavar="FILE",
         help="Another specification to take COMPONENT from.",
     )(function)
@@ -192,7 +193,7 @@ def remove_command(
 
 
 @click.command("apply")
-@click.argument("new", type=click.Path(path_type=Path))
+@specification_argument("new", metavar="[PACKAGE] NEW")
 @click.option("--keep-code", is_flag=True, help="Do not replace nodes only because their code has changed on disk.")
 @change_options.declared_parameters_option
 @change_options.same_process_option
@@ -235,7 +236,7 @@ def apply_command(
             "same_process": same_process,
         }
 
-    return change(options, request, f"apply {new.name}", file=str(new.resolve()))
+    return change(options, request, f"apply {new.name}", file=str(absolute(new)))
 
 
 def _component_of(file: Path | None, name: str) -> ComponentSpec | None:

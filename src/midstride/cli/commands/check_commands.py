@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
@@ -9,15 +10,18 @@ import click
 from midstride.cli import shell_completion
 from midstride.cli.input_files import require_file, write_whole
 from midstride.cli.output import json_option, show
+from midstride.cli.specification_argument import SpecificationPath
+from midstride.errors import MidstrideError
 from midstride.lang import format_text, load, render
 from midstride.lang.catalogue import CATALOGUE, explain
 from midstride.lang.diagnostic_text import Diagnostic
 from midstride.lang.message_types import installed
 from midstride.lang.source_files import Unreadable, read_text
+from midstride.package_files import owner
 
 
 @click.command("check")
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, type=SpecificationPath(), metavar="FILE...")
 @click.option("--strict", is_flag=True, help="Treat warnings as errors.")
 @click.option("--no-types", is_flag=True, help="Do not check message types and fields against the installed packages.")
 @json_option
@@ -39,7 +43,7 @@ def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
 
 
 @click.command("fmt")
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, type=SpecificationPath(), metavar="FILE...")
 @click.option("--check", is_flag=True, help="Change nothing; exit status 1 if a file is not formatted.")
 @json_option
 def fmt_command(files: tuple[Path, ...], check: bool) -> int:
@@ -50,6 +54,8 @@ def fmt_command(files: tuple[Path, ...], check: bool) -> int:
         if file.suffix == ".json":
             raise click.UsageError(f"{file} is JSON; fmt is for files in the Stride language")
         require_file(file)
+        if not check and owner(str(file), os.environ) == owner(str(file.resolve()), os.environ) is not None:
+            raise MidstrideError(f"{file} is an installed copy, which the next build replaces: format its source")
         try:
             text = read_text(file)
         except Unreadable as error:

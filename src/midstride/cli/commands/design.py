@@ -12,6 +12,7 @@ from midstride.cli.changed_programs import changed_code, code_words, other_overl
 from midstride.cli.input_files import load, read
 from midstride.cli.output import json_option, print_json, show, wants_json
 from midstride.cli.running_systems import find, system_option
+from midstride.cli.specification_argument import SpecificationPath, specification_argument
 from midstride.codec.schema import specification_schema
 from midstride.codec.specification_form import encode_specification
 from midstride.generate.drawing import to_dot, to_mermaid
@@ -25,7 +26,7 @@ _FILE = click.Path(path_type=Path)
 
 
 @click.command("graph")
-@click.argument("file", type=_FILE)
+@specification_argument()
 @click.option(
     "-o", "--output", type=_FILE, metavar="X.svg|png|dot|mmd", help="Write a file; its suffix chooses the kind."
 )
@@ -52,7 +53,7 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
 
 @click.command("impact")
-@click.argument("file", type=_FILE)
+@click.argument("file", type=SpecificationPath())
 @click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=shell_completion.nodes_and_containers)
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
@@ -93,8 +94,8 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
 
 
 @click.command("diff")
-@click.argument("old", type=_FILE)
-@click.argument("new", required=False, type=_FILE)
+@click.argument("old", type=SpecificationPath())
+@click.argument("new", required=False, type=SpecificationPath())
 @click.option("--keep-code", is_flag=True, help="Do not count code that has changed on disk as a difference.")
 @system_option
 @json_option
@@ -121,7 +122,7 @@ def diff_command(old: Path, new: Path | None, keep_code: bool, system: str | Non
 
 
 @click.command("export")
-@click.argument("file", required=False, type=_FILE)
+@specification_argument(required=False)
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of specifications instead.")
 @system_option
 @json_option

@@ -22,6 +22,7 @@ from midstride.cli.input_files import require_file
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down
+from midstride.cli.specification_argument import absolute, specification_argument
 from midstride.cli.staying import ended_by_signals, not_interrupted
 from midstride.codec.form import encode
 from midstride.errors import SpecificationError
@@ -30,7 +31,7 @@ from midstride.runtime.workspace import Workspace
 
 
 @click.command("dev")
-@click.argument("file", type=click.Path(path_type=Path))
+@specification_argument()
 @backend_option("The platform, where the system is not running yet.")
 @platform_options(spares=1)
 @with_other_nodes_option
@@ -66,7 +67,7 @@ def dev_command(
             screen.say(f"{workspace.name} is running already: --use-sim-time and --no-… have no effect")
         changes: Changes | None = None
         try:
-            changes = Changes(client, str(file.resolve()), with_other_nodes=with_other_nodes)
+            changes = Changes(client, str(absolute(file)), with_other_nodes=with_other_nodes)
             session = DevSession(specification, client, changes.carry_out, screen)
             session.look()
             for line in other_overlay(client.programs()):

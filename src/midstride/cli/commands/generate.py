@@ -11,18 +11,20 @@ import click
 
 from midstride.cli.input_files import require_file, write, written
 from midstride.cli.output import json_option, show
+from midstride.cli.specification_argument import specification_argument
 from midstride.errors import MidstrideError, SpecificationError
 from midstride.generate.merge import Merged, digest, merge_component, merge_copy, merge_whole
 from midstride.generate.project import GeneratedFile, project
 from midstride.lang import Loaded, load
 from midstride.lang.message_types import installed
+from midstride.package_files import SCHEME, owner
 
 # What was last generated, to recognise a copy of the specification that was edited since.
 RECORD: Final = ".midstride-generated.json"
 
 
 @click.command("generate")
-@click.argument("file", type=click.Path(path_type=Path))
+@specification_argument()
 @click.option(
     "-o",
     "--output",
@@ -36,14 +38,14 @@ RECORD: Final = ".midstride-generated.json"
 def generate_command(file: Path, output: Path, ros: str) -> int:
     """Write a skeleton for each node of FILE into DIR, with a launch file and package files.
 
-    The nodes run unchanged: `midstride up DIR/FILE`. Generating again keeps your code and replaces only
-    the marked block in each file.
+    The nodes run unchanged: `midstride up DIR/FILE`, or `midstride up PACKAGE FILE` once DIR is built in a workspace.
+    Generating again keeps your code and replaces only the marked block in each file.
     """
     require_file(file)
     loaded = load(file, messages=installed())
     specification = loaded.require()
-    sources = _sources(file, loaded)
-    generated_project = project(specification, file.name, sources, 1 if ros == "1" else 2)
+    sources, packages = _sources(file, loaded)
+    generated_project = project(specification, file.name, sources, 1 if ros == "1" else 2, packages)
     record = _record(output)
     done: list[tuple[str, str, str]] = []
     for generated in generated_project.files:
@@ -59,21 +61,32 @@ def generate_command(file: Path, output: Path, ros: str) -> int:
     noted = [(name, state, f" ({note})" if note else "") for name, state, note in done if state == "written" or note]
     lines = [f"{state} {output / name}{note}" for name, state, note in noted]
     lines += [f"no skeleton for {component}: {reason}" for component, reason in generated_project.skipped.items()]
+    name = generated_project.package
+    build = "colcon" if ros == "2" else "catkin"
+    lines.append(f"Built with {build} and sourced, it starts with `midstride up {name} {file.name}`.")
     lines.append(f"Start it with `midstride up {output / file.name}`.")
-    show({"folder": str(output), "files": files, "skipped": generated_project.skipped}, lines)
+    show({"folder": str(output), "package": name, "files": files, "skipped": generated_project.skipped}, lines)
     return 0
 
 
-def _sources(file: Path, loaded: Loaded) -> dict[PurePosixPath, str]:
-    """The files of the specification, relative to the folder of ``file``. Raises SpecificationError for one outside."""
+def _sources(file: Path, loaded: Loaded) -> tuple[dict[PurePosixPath, str], list[str]]:
+    """The files of the specification, relative to the folder of ``file``, and the packages that the others are of.
+
+    Raises SpecificationError for one outside that is not found by the name of its package.
+    """
     sources: dict[PurePosixPath, str] = {}
+    packages: set[str] = set()
     folder = os.path.abspath(file.parent)
     for source in loaded.files:
         relative = os.path.relpath(os.path.abspath(source.path or file), folder)
         if relative.startswith(".."):
+            owned = owner(str(source.path), os.environ)
+            if owned is not None and any(f'"{SCHEME}{owned[0]}/' in other.text for other in loaded.files):
+                packages.add(owned[0])
+                continue
             raise SpecificationError(f"{source.name} is outside {folder}, so a copy of {file} would not find it")
         sources[PurePosixPath(relative)] = source.text
-    return sources
+    return sources, sorted(packages)
 
 
 def _merge(generated: GeneratedFile, existing: str | None, record: dict[str, str]) -> Merged:

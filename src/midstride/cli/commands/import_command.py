@@ -10,6 +10,7 @@ import click
 
 from midstride.cli.input_files import require_file, require_new, write
 from midstride.cli.output import json_option, print_json, stride_output, wants_json
+from midstride.cli.specification_argument import SpecificationPath
 from midstride.launch_files.launch_import import Imported, import_launch_file
 from midstride.launch_files.launched_containers import CONTAINERS, Containers
 from midstride.model.lifecycle_management import MANAGEMENTS, Management
@@ -20,7 +21,7 @@ INCOMPLETE: Final = 3
 
 
 @click.command("import")
-@click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
+@click.argument("file", type=SpecificationPath(), metavar="FILE")
 @click.argument("arguments", nargs=-1, metavar="[NAME:=VALUE]...")
 @stride_output("Write the specification to this file, instead of printing it.")
 @click.option(

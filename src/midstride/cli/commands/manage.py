@@ -12,6 +12,7 @@ import click
 from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
 from midstride.cli.input_files import load
+from midstride.cli.specification_argument import absolute
 from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.manager import Manager
@@ -81,7 +82,7 @@ def manager_command(
                 os.environ[ENV_DIAGNOSTICS] = "0"  # components have the manager's environment
             platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
             specification = requested if saved is None else saved.specification
-            path = file.resolve()
+            path = absolute(file)
             manager = Manager(specification, platform, workspace, path.parent, options=options, file=path, lock=lock)
             return await serve(manager, workspace, backend=backend, tcp=tcp, metrics_file=metrics_file)
         finally:

@@ -25,6 +25,7 @@ from midstride.cli.input_files import load, write
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
 from midstride.cli.running_systems import find, system_option
+from midstride.cli.specification_argument import specification_argument
 from midstride.codec.form import Document, encode
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import MidstrideError
@@ -51,7 +52,7 @@ def _seconds(_context: click.Context, _parameter: click.Parameter, text: str | N
 
 
 @click.command("plan")
-@click.argument("file", required=False, type=click.Path(path_type=Path))
+@specification_argument(required=False)
 @planned_change_options
 @click.option("--compare", is_flag=True, help="Show the plans of every strategy side by side, on a time axis.")
 @click.option("--explain", is_flag=True, help="Say what it would cost to keep what degrades, if that is possible.")

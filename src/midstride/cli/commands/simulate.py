@@ -14,6 +14,7 @@ from click.core import ParameterSource
 from midstride.cli.input_files import load
 from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.planned_change import planned_change, planned_change_options
+from midstride.cli.specification_argument import specification_argument
 from midstride.codec.form import encode
 from midstride.plan.forms.request_form import decode_request
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @click.command("simulate")
-@click.argument("file", type=click.Path(path_type=Path), required=False)
+@specification_argument(required=False)
 @planned_change_options
 @click.option(
     "--seeds", type=click.IntRange(1), metavar="N", default=200, show_default=True, help="How many seeds to run."

@@ -25,6 +25,7 @@ from midstride.cli.output import console, json_option, print_json, show, wants_j
 from midstride.cli.progress import Progress
 from midstride.cli.render import degraded_line
 from midstride.cli.shutdown import stop
+from midstride.cli.specification_argument import absolute, specification_argument
 from midstride.cli.staying import ended_by_signals, stay
 from midstride.codec.form import encode
 from midstride.codec.specification_form import encode_specification
@@ -92,11 +93,11 @@ def manager_arguments(
         )
     options = ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
     options += [*["--no-diagnostics"] * no_diagnostics, "--spares", str(spares)]
-    return [str(file.resolve()), "--backend", backend, *options]
+    return [str(absolute(file)), "--backend", backend, *options]
 
 
 @click.command("up")
-@click.argument("file", type=click.Path(path_type=Path))
+@specification_argument()
 @backend_option("The platform.")
 @click.option("--detach", "-d", is_flag=True, help="Return once the system is up; show no view.")
 @click.option(
@@ -171,7 +172,7 @@ def up_command(
     specification = load(file)
     if dry_run:
         options = SystemOptions(use_sim_time, not no_middleware_settings, spares, not no_diagnostics)
-        return _dry_run(specification, backend, file.resolve().parent, options)
+        return _dry_run(specification, backend, absolute(file).parent, options)
     workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
     if (running := client.service()) is not None:

@@ -13,6 +13,7 @@ from midstride.cli import graphviz
 from midstride.cli.input_files import in_file, load, read_json, write
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.running_systems import find, system_option
+from midstride.cli.specification_argument import specification_argument
 from midstride.errors import PlanRefused, SpecificationError
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
@@ -23,7 +24,7 @@ _STYLES: Final = {"holds": "bold green", "violated": "bold red", "unknown": "bol
 
 
 @click.command("verify")
-@click.argument("file", type=_FILE, required=False)
+@specification_argument(required=False)
 @click.option(
     "--plan", "plan_file", type=_FILE, metavar="PLAN.json", help="Verify every step of a plan; - is standard input."
 )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
+from midstride.cli.specification_argument import absolute
 from midstride.errors import SpecificationError
 from midstride.model.specification import Specification
 from midstride.wire.program import files_named
@@ -46,4 +46,4 @@ class WatchedSpecification:
                 words = shlex.split(component.run or "")
             except ValueError:
                 continue
-            yield from files_named(words, os.path.dirname(self.path.resolve()))
+            yield from files_named(words, str(absolute(self.path).parent))
