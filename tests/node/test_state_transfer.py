@@ -13,7 +13,14 @@ from midstride.backends.simulator.virtual_loop import run
 from midstride.node.author.ports import OutputLink
 from midstride.node.component_host import MessageInfo
 from midstride.node.data.functionality_runner import Admission, Call, FunctionalityRunner
-from midstride.node.handover.state_transfer import LONGEST_WAIT, REPORT_INTERVAL, TICK, StateExport, StateImport
+from midstride.node.handover.state_transfer import (
+    CATCH_UP,
+    LONGEST_WAIT,
+    REPORT_INTERVAL,
+    TICK,
+    StateExport,
+    StateImport,
+)
 from midstride.node.request_admission import RequestAdmission
 from midstride.wire.commands import Command, FetchStateCommand, StateTransfer
 from midstride.wire.frames import Reply, encode_value
@@ -29,6 +36,7 @@ class Runner(Owner):
     asynchronous = False
     awaits = FunctionalityRunner.awaits
     admission: Any = None
+    inputs: Any = ()
 
     def __init__(self) -> None:
         super().__init__()
@@ -245,5 +253,63 @@ def test_the_old_side_counts_what_it_has_received_from_the_first_of_its_cuts_on(
         fetched = await work.fetch()
         assert (fetched.state, fetched.since, fetched.handled) == (b"state", 5 * SECOND, {"a": 8, "b": 3})
         assert work.admit(cast(Any, runner), call(MessageInfo(9, None, "a"))) == "hold", "the state has left"
+
+    in_virtual_time(main)
+
+
+class Port:
+    """An input: the messages that it has received, each when it was published (s)."""
+
+    def __init__(self, *times: float) -> None:
+        self.receipts: Any = []
+        for time in times:
+            self.receive(time)
+
+    def receive(self, time: float) -> None:
+        self.receipts.append((0, MessageInfo(round(time * SECOND), None, "a")))
+
+
+def test_the_old_side_waits_for_a_message_that_shows_that_none_is_on_its_way() -> None:
+    """What it had received before it learned of the cut is its own, too."""
+
+    async def main() -> None:
+        runner, port = Runner(), Port(0.97, 0.98, 0.99)
+        runner.inputs = (port,)
+        work = exporting(runner, transfer(at=2.0))
+        await asyncio.sleep(1.0)
+        work.arm([], cut_of(Rights(), at=2.0))
+        await asyncio.sleep(1.0)
+        passed = asyncio.ensure_future(work.passed("one"))
+        await asyncio.sleep(0.2)
+        assert not passed.done()
+        assert work.admit(cast(Any, runner), call(MessageInfo(SECOND, None, "a"))) == "make", "one that was on its way"
+        port.receive(2.1)
+        await asyncio.sleep(2 * TICK)
+        assert passed.done()
+        assert (await work.fetch()).handled == {"a": SECOND}
+
+    in_virtual_time(main)
+
+
+@pytest.mark.parametrize(
+    ("times", "outputs", "waits"),
+    [
+        ((1.98, 1.99), False, CATCH_UP),
+        ((1.98, 1.99), True, 0.0),  # outputs wait for the state
+        ((1.88, 1.89), True, CATCH_UP),  # the next message is overdue
+        ((0.0, 1.0), False, 0.0),  # too slow to be expected
+        ((1.0,), False, 0.0),  # not known how often
+    ],
+)
+def test_how_long_the_old_side_waits(times: tuple[float, ...], outputs: bool, waits: float) -> None:
+    async def main() -> None:
+        runner, answering_runner = Runner(), Runner()
+        runner.inputs = (Port(*times),)
+        work = exporting(runner, transfer(at=2.0))
+        await asyncio.sleep(1.9)
+        work.arm([link_of(answering_runner)[0]] if outputs else [], cut_of(Rights(), at=2.0))
+        await asyncio.sleep(0.1)
+        await work.passed("one")
+        assert seconds() - 2.0 == pytest.approx(waits, abs=3 * TICK)
 
     in_virtual_time(main)

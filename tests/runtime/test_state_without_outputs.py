@@ -184,6 +184,29 @@ def test_without_an_import_it_is_replaced_and_the_outcome_says_what_is_lost(tmp_
     sinking(tmp_path, body, import_="")
 
 
+@pytest.mark.parametrize("behind", [0.02, 0.15, 0.4])
+def test_what_the_old_one_receives_late_is_received_by_the_new_one(
+    behind: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The new one has had these messages before it knows of the cut, and the old one by the cut not yet."""
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        send = simulator.network._send
+
+        def send_late(writer: Any, reader: Any, message: Any, info: Any, extra: float = 0.0) -> None:
+            send(writer, reader, message, info, extra + (behind if reader.owner.node == "/sink" else 0.0))
+
+        monkeypatch.setattr(simulator.network, "_send", send_late)
+        await settle()
+        outcome = await manager.change(RESTART)
+        assert (outcome.outcome, outcome.because) == ("done", None)
+        await settle()
+        assert_each_once(tmp_path)
+        assert {line[2] for line in noted(tmp_path)} == {"sink", "sink_2"}
+
+    sinking(tmp_path, body)
+
+
 @pytest.mark.parametrize("op", ["mute", "cut_out", "cut_in", "await_cut", "fetch_state"])
 def test_an_old_one_that_dies_leaves_its_replacement_receiving(op: str, tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
-from midstride.node.author.ports import OutputLink, OutputOwner
+from midstride.node.author.ports import REMEMBERED, Input, OutputLink, OutputOwner
 from midstride.node.component_host import Host
 from midstride.node.control.service_answering import Answering
 from midstride.node.control.state_hooks import StateHooks
@@ -50,6 +50,10 @@ REPORT_TIMEOUT: Final = 0.25
 # How long the export waits for a request to a service that is being handled (s): what that changes later is not in the
 # state.
 REQUEST_PATIENCE: Final = 0.2
+# How long the export waits for the messages of a publisher that the new side may have had before it held any back (s);
+# and how often a publisher must write for its next message to be expected in that time (s).
+CATCH_UP: Final = 0.5
+EXPECTED: Final = 0.25
 # How long a state may take on its way (s per byte), besides the time in which the new side must report.
 TRANSIT_PER_BYTE: Final = 2e-8
 
@@ -151,11 +155,14 @@ class StateExport(_Transfer):
     _answered: bool = field(default=False, init=False)
     _passed: set[object] = field(default_factory=set, init=False)
     _all_passed: bool = field(default=False, init=False)
+    # Whether all has been received that the new side may not have held back.
+    _caught_up: bool = field(default=False, init=False)
     _state: bytes | None = field(default=None, init=False)
     # When the last cut was due; and when the state was exported, or the new side last reported (steady, ns).
     _due_at: int | None = field(default=None, init=False)
     _heard_at: int | None = field(default=None, init=False)
-    # By publisher, the newest message that a functionality without an output in a cut has received since ``_since``.
+    # By publisher, the newest message that was received before ``_since``, when the first cut was agreed, or that a
+    # functionality without an output in a cut has received since.
     _handled: dict[str, int] = field(default_factory=dict, init=False)
     _since: int = field(default=0, init=False)
     _imported: bool = field(default=False, init=False)
@@ -172,10 +179,22 @@ class StateExport(_Transfer):
 
     def arm(self, links: Iterable[OutputLink], side: OutgoingCut | IncomingCut) -> None:
         super().arm(links, side)
-        self._since = self._since or self.host.message_now()
+        if not self._since:
+            self._since = self.host.message_now()
+            for port in {port for runner in self.runners for port in runner.inputs}:
+                self._handled |= {publisher: times[-1] for publisher, times in self._received(port).items()}
+
+    def _received(self, port: Input) -> dict[str, list[int]]:
+        """By publisher, when the last messages were published, in order."""
+        times: dict[str, list[int]] = {}
+        for _, info in tuple(port.receipts)[-REMEMBERED:]:  # the data thread may add to them
+            facts = self.host.read_info(info)
+            if facts.publisher is not None and facts.source is not None:
+                times.setdefault(facts.publisher, []).append(facts.source)
+        return times
 
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
-        if not self._all_passed:
+        if not self._caught_up:
             if (origin := self._origin(runner, call)) is not None:
                 publisher, source = origin
                 self._handled[publisher] = max(source, self._handled.get(publisher, 0))
@@ -197,6 +216,8 @@ class StateExport(_Transfer):
         if self._all_passed or len(self._passed) < self.transfer.cuts:
             return
         self._all_passed = True
+        await within(self.host, self._catch_up(self.host.message_now()), CATCH_UP)
+        self._caught_up = True
         try:
             if await within(self.host, self._quiet(), self.transfer.timeout) is None:
                 raise CommandRefused(f"user code did not return within {self.transfer.timeout:.3g} s")
@@ -209,6 +230,23 @@ class StateExport(_Transfer):
         self._bytes = None if self._state is None else len(self._state)
         self._heard_at = self.host.steady() + int(len(self._state or b"") * TRANSIT_PER_BYTE * 1e9)
         self._decided.set()
+
+    async def _catch_up(self, passed: int) -> None:
+        """Wait until a newer message shows that all have been received that were published until ``passed``.
+
+        The new side holds messages back from when it has learned of the cut, and has dropped those before. Where an
+        output waits for the state, only a publisher is waited for that seems to be late.
+        """
+        ports = {port for runner in self.runners if runner not in self._moments for port in runner.inputs}
+        while any(self._is_awaited(times, passed) for port in ports for times in self._received(port).values()):
+            await self.host.sleep(TICK)
+
+    def _is_awaited(self, times: Sequence[int], passed: int) -> bool:
+        """Return whether a message after ``passed`` is waited for, of a publisher that last wrote at ``times``."""
+        newest, interval = times[-1], (times[-1] - times[0]) / max(len(times) - 1, 1)
+        if newest > passed or not 0 < interval <= EXPECTED * 1e9:
+            return False
+        return not self._moments or self.host.message_now() - newest > 2 * interval
 
     async def _requests_answered(self) -> None:
         while self.answering.admission.busy:
