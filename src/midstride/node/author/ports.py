@@ -449,6 +449,10 @@ class Input(_Port[InputLink]):
         received = [link for link in self.links if link.count]
         return bool(received) and all(link.fields.violated for link in received)
 
+    def last_receipts(self) -> tuple[tuple[int, Any], ...]:
+        """When the last messages were received (steady, ns), and the middleware's report of each. On any thread."""
+        return tuple(self.receipts)[-REMEMBERED:]
+
     def remove(self, link: InputLink) -> None:
         super().remove(link)
         if not self.links:

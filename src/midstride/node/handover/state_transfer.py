@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
-from midstride.node.author.ports import REMEMBERED, Input, OutputLink, OutputOwner
+from midstride.node.author.ports import Input, OutputLink, OutputOwner
 from midstride.node.component_host import Host
 from midstride.node.control.service_answering import Answering
 from midstride.node.control.state_hooks import StateHooks
@@ -182,15 +182,15 @@ class StateExport(_Transfer):
         if not self._since:
             self._since = self.host.message_now()
             for port in {port for runner in self.runners for port in runner.inputs}:
-                self._handled |= {publisher: times[-1] for publisher, times in self._received(port).items()}
+                self._handled |= {publisher: times[-1][1] for publisher, times in self._received(port).items()}
 
-    def _received(self, port: Input) -> dict[str, list[int]]:
-        """By publisher, when the last messages were published, in order."""
-        times: dict[str, list[int]] = {}
-        for _, info in tuple(port.receipts)[-REMEMBERED:]:  # the data thread may add to them
+    def _received(self, port: Input) -> dict[str, list[tuple[int, int]]]:
+        """By publisher, when the last messages were received (steady, ns), and when published, in order."""
+        times: dict[str, list[tuple[int, int]]] = {}
+        for received, info in port.last_receipts():
             facts = self.host.read_info(info)
             if facts.publisher is not None and facts.source is not None:
-                times.setdefault(facts.publisher, []).append(facts.source)
+                times.setdefault(facts.publisher, []).append((received, facts.source))
         return times
 
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
@@ -241,12 +241,13 @@ class StateExport(_Transfer):
         while any(self._is_awaited(times, passed) for port in ports for times in self._received(port).values()):
             await self.host.sleep(TICK)
 
-    def _is_awaited(self, times: Sequence[int], passed: int) -> bool:
-        """Return whether a message after ``passed`` is waited for, of a publisher that last wrote at ``times``."""
-        newest, interval = times[-1], (times[-1] - times[0]) / max(len(times) - 1, 1)
+    def _is_awaited(self, times: Sequence[tuple[int, int]], passed: int) -> bool:
+        """Return whether a message after ``passed`` is waited for, of a publisher whose last ones came at ``times``."""
+        (_, oldest), (received, newest) = times[0], times[-1]
+        interval = (newest - oldest) / max(len(times) - 1, 1)
         if newest > passed or not 0 < interval <= EXPECTED * 1e9:
             return False
-        return not self._moments or self.host.message_now() - newest > 2 * interval
+        return not self._moments or self.host.steady() - received > 2 * interval
 
     async def _requests_answered(self) -> None:
         while self.answering.admission.busy:
