@@ -172,6 +172,7 @@ def test_ros2_a_component_without_outputs_at_200_hz(tmp_path: Path) -> None:
     with ended():
         asyncio.run(main())
     heard = noted(tmp_path)
-    assert [int(line[0]) for line in heard] == list(range(int(heard[0][0]), int(heard[0][0]) + len(heard)))
+    gaps = [(before, after) for before, after in itertools.pairwise(heard) if int(after[0]) != int(before[0]) + 1]
+    assert not gaps, f"missed between (number, count, instance, live): {gaps}"
     assert [int(line[1]) for line in heard] == list(range(1, len(heard) + 1))
     assert len({line[2] for line in heard}) == 3, "sink, sink_2 and sink_3"

@@ -6,13 +6,21 @@ takes anything from the old one, its state moves at a cut without outputs, and f
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable, Container
 from dataclasses import dataclass, field
+from typing import Final
 
-from midstride.errors import CommandRefused
+from midstride.errors import CallTimeout, CommandRefused, Unreachable
 from midstride.model.action import Action, Degrade, Detach, Remove, Upgrade
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import MuteCommand, PrepareStateCommand
+
+# How long a replacement is waited for that has not received a message on a topic on which the old one has (s), and how
+# often it is looked at.
+FIRST_MESSAGES: Final = 0.5
+LOOK_INTERVAL: Final = 0.01
 
 
 @dataclass(slots=True)
@@ -45,6 +53,7 @@ class StateMoves:
                 if self.client.life.is_gone_or_fenced(old):
                     self.keeps_own(old, new, f"{old} exited or hangs, so it could not export its state")
                 else:
+                    await self._first_messages(old, new)
                     await self.move(old, new)
                     del self.predecessors[new]
                     self.predecessors[old] = new  # a roll-back moves it back
@@ -64,3 +73,24 @@ class StateMoves:
         if offer.has_state:
             await self.client.change(new, MuteCommand())
             self._muted.add(new)
+
+    async def _first_messages(self, old: str, new: str) -> None:
+        """Wait until ``new`` has received a message on each topic on which ``old`` has, or for a while.
+
+        A subscription that has found a publisher may not have been found by it. Only a message shows that it has, and
+        ``new`` would lack what is published before.
+        """
+        clock = self.client.clock
+        deadline = clock.steady() + FIRST_MESSAGES
+        with contextlib.suppress(CallTimeout, Unreachable):  # the move finds that as well
+            received = (await self.client.peek(old)).ports
+            while clock.steady() < deadline:
+                there = (await self.client.peek(new)).ports
+                links = [
+                    (link, there.get(port, {}).get(topic))
+                    for port in received
+                    for topic, link in received[port].items()
+                ]
+                if all(other is None or other.count or not link.count for link, other in links):
+                    return
+                await asyncio.sleep(LOOK_INTERVAL)
