@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
-VERSION: Final = 19
+VERSION: Final = 20
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.

@@ -20,7 +20,7 @@ from midstride.wire.state import ComponentState, Endpoint, WireValue
 
 # Incremented with every change of a frame, command, reply or event that another version could misread, and of the locks
 # of cuts: where two versions lock different files, both sides of a cut get their lock, and both write.
-PROTOCOL: Final = 10
+PROTOCOL: Final = 11
 # The longest frame (bytes): recorded receipts and exported state included.
 LONGEST_FRAME: Final = 256 * 1024 * 1024
 

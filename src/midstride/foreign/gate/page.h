@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
-#define PAGE_VERSION 19 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_VERSION 20 /* counted up whenever the meaning or the place of a field changes */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536
