@@ -1,6 +1,6 @@
 """The build as a ROS package, by colcon; the wheel is built from pyproject.toml (docs/how-to/ros-package.md).
 
-Everything is said here, as Ubuntu 22.04's setuptools ignores [project]; later ones are told to.
+Everything is said here, as Ubuntu 22.04's setuptools ignores [project]; later versions are made to ignore it, too.
 The version has one place, package.xml, entry points another, pyproject.toml, and tests compare the rest with the wheel.
 """
 

@@ -411,21 +411,22 @@ def test_a_component_that_has_noted_what_it_had_handled_leaves_the_rest_to_the_o
         assert port.passed == 2
 
 
+def ended_node(lab: Lab) -> int:
+    """The index of a node with requests whose part of the page has been taken back."""
+    index = lab.page.allocate("server")
+    lab.page.have_requests(index)
+    lab.page.free(index)
+    return index
+
+
 def test_with_a_node_that_has_ended_nothing_is_shared(lab: Lab) -> None:
-    page = lab.page
-    index = page.allocate("server")
-    page.have_requests(index)
-    page.free(index)
     with pytest.raises(BackendError, match="it has ended"):
-        share_requests(page, "component", index)
+        share_requests(lab.page, "component", ended_node(lab))
 
 
 def test_a_node_that_has_just_ended_is_not_to_answer(lab: Lab) -> None:
     """Its part of the page is taken back while the manager waits for others."""
-    page = lab.page
-    index = page.allocate("server")
-    page.have_requests(index)
-    page.free(index)
+    page, index = lab.page, ended_node(lab)
     with pytest.raises(BackendError, match="the node has ended"):
         page.give_requests(index, 0.0)
     page.forget_goal(index, KnownGoal("/count", GoalState.ENDED, bytes(16), 0, 0))

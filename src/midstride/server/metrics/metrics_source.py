@@ -59,8 +59,8 @@ def snapshot(lifecycle: Lifecycle) -> Snapshot:
 class MetricsFile:
     """A file with the metrics for node_exporter's textfile collector, as long as the manager runs.
 
-    Each version takes the place of the one before at once. The file is removed when the manager ends in order. Of a
-    manager that was killed it stays: only the time in it says that nobody writes it any more.
+    Each version takes the place of the one before at once. The file is removed when the manager ends in order. A
+    manager that is killed leaves it behind: then only the time in it shows that it is out of date.
     """
 
     def __init__(self, path: Path) -> None:
