@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-long pythons mutants wheel bench docs reference changelog recording animation screenshots lint alloy verify
+.PHONY: help demo test test-all test-long pythons middlewares mutants wheel bench docs reference changelog recording animation screenshots lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -25,6 +25,9 @@ test-long: ## the tests that take minutes each
 
 pythons: ## the tests that need no ROS, with each other CPython from 3.10 on that is here (ARGS='-k name')
 	@tools/pythons $(ARGS)
+
+middlewares: ## the tests that need ROS 2, with each other middleware that is installed beside the default (ARGS='-k name')
+	@tools/middlewares $(ARGS)
 
 mutants: ## how many small changes of the code a test notices (ARGS='--mutants 300 --seed 7')
 	@tools/setup test

@@ -178,22 +178,26 @@ def checked(*arguments: str, **environment: str) -> str:
 
 
 @pytest.mark.ros2
+@pytest.mark.fast_dds
 def test_a_profile_that_took_effect_is_recognized() -> None:
     assert checked(**LOCAL).rstrip().endswith("|")
     assert RANGE in checked(**LOCAL)
 
 
 @pytest.mark.ros2
+@pytest.mark.fast_dds
 def test_a_profile_that_came_too_late_is_recognized() -> None:
     assert "this process has used ROS 2 before" in checked("before", **LOCAL)
 
 
 @pytest.mark.ros2
+@pytest.mark.fast_dds
 def test_shared_memory_in_use_is_recognized() -> None:
     assert "shared memory is in use" in checked(**LOCAL, ROS_STATIC_PEERS="127.0.0.1")
 
 
 @pytest.mark.ros2
+@pytest.mark.fast_dds
 @pytest.mark.parametrize("environment", [{RANGE: "SUBNET"}, LOCAL])
 def test_no_type_is_looked_up(environment: dict[str, str]) -> None:
     """Fast DDS 3.2 has crashed in `TypeLookupManager::notify_callbacks`, in the thread that receives replies."""
@@ -228,6 +232,7 @@ print(matched - begun, time.monotonic() - matched)
 
 
 @pytest.mark.ros2
+@pytest.mark.fast_dds
 @pytest.mark.parametrize("environment", [{RANGE: "SUBNET"}, LOCAL])
 def test_a_new_process_is_matched_and_acknowledged_long_before_the_next_announcement(
     environment: dict[str, str],
@@ -250,6 +255,7 @@ def test_a_new_process_is_matched_and_acknowledged_long_before_the_next_announce
 
 
 @pytest.mark.ros2
+@pytest.mark.fast_dds
 def test_the_101st_process_of_a_host_is_heard() -> None:
     """The ports of a domain allow 120, and Fast DDS tries the first 100 by default."""
     tuned = tuned_environment({**os.environ, **LOCAL})

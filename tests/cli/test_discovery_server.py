@@ -19,7 +19,7 @@ from tests.acceptance.support import Recorder, ended, swap_specification
 from tests.backends.ros2_support import without_midstride
 from tests.cli.conftest import Midstride
 
-pytestmark = [pytest.mark.ros2, pytest.mark.full]
+pytestmark = [pytest.mark.ros2, pytest.mark.fast_dds, pytest.mark.full]
 
 
 @contextlib.contextmanager
