@@ -99,7 +99,7 @@ class RmwImplementation:
         return MessageInfo(
             source=info.get("source_timestamp") or None,
             number=None if number in (None, _UNSUPPORTED) or not self.numbers_messages else int(number),
-            publisher=bytes(data)[:IDENTITY].hex() if data else None,
+            publisher=bytes(data)[:IDENTITY].hex() if data and self.names_writers else None,
         )
 
     def limits(self) -> Iterator[str]:

@@ -87,7 +87,7 @@ void count_answered(struct page *shared, struct requests *requests, unsigned me)
 
 uint64_t client_key(const struct request_id *id)
 {
-  return key_of(id->client, sizeof id->client);
+  return key_of(id->client, client_length(id));
 }
 
 void lock_places(struct requests *requests, enum places places, short type)

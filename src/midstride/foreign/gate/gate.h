@@ -214,6 +214,15 @@ void count_call(struct port *port, bool passed);
 /* A message of an output has been published: it counts once, also where it goes two ways. */
 void count_written(struct port *port);
 
+/* -- identities that every process sees alike (cyclone.c) -------------------------------------------------------------- */
+
+/* The one by which the graph shows a publisher; false where it is not known. */
+bool graph_identity(const void *publisher, struct identity *identity);
+/* That of the writer of a message that was taken; zeros where it has gone. */
+void writer_identity(const void *subscription, const struct message_info *info, uint8_t writer[16]);
+/* How much of the identity of a client is known elsewhere, from its begin. */
+size_t client_length(const struct request_id *id);
+
 /* -- which message a call answers (inputs.c) --------------------------------------------------------------------------- */
 
 /* Mixes `bits` into `key`. */
@@ -222,7 +231,7 @@ uint64_t key_of(const void *bytes, size_t length);
 /* What this thread has taken last is answered, as far as it will be: it does something else. */
 void end_input(void);
 /* It has taken a message. */
-void begin_input(struct entry *source, const struct message_info *info);
+void begin_input(struct entry *source, const struct message_info *info, const uint8_t writer[16]);
 /* The message that a call on this output answers; its number is 0 where it is none, or the output has answered it already. */
 struct input answered_by(struct entry *output);
 /* Whether another node has answered it; if so, the page has from then on that the two overlap. */
@@ -235,7 +244,7 @@ void note_answer(const struct entry *output, const struct input *input);
 /* -- what is measured of a change (receipts.c) ------------------------------------------------------------------------ */
 
 /* Note a message that the node has taken, if the manager wants to know. */
-void note_receipt(struct entry *entry, const struct message_info *info);
+void note_receipt(struct entry *entry, const struct message_info *info, const uint8_t writer[16]);
 
 /* -- what calls a node (calls.c) --------------------------------------------------------------------------------------- */
 

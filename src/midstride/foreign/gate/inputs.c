@@ -90,7 +90,7 @@ void end_input(void)
   current.source = NULL;
 }
 
-void begin_input(struct entry *source, const struct message_info *info)
+void begin_input(struct entry *source, const struct message_info *info, const uint8_t writer[16])
 {
   if (source->kind != INPUT)
     return;
@@ -99,7 +99,7 @@ void begin_input(struct entry *source, const struct message_info *info)
   current.endpoint = atomic_load(&source->endpoint);
   current.input = (struct input){
       .topic = UINT64_C(1) << source->key % 64,
-      .writer = key_of(info->writer, sizeof info->writer),
+      .writer = key_of(writer, sizeof info->writer),
       .number = timed ? (uint64_t)info->sent : info->number,
       .timed = timed,
   };

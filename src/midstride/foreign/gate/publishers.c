@@ -156,10 +156,8 @@ static void mark(const void *publisher)
   if (atomic_load(&node->marked) || !real_rcl_publisher_get_rmw_handle() || !real_rmw_get_gid_for_publisher())
     return;
   struct identity identity;
-  if (real_rmw_get_gid_for_publisher()(real_rcl_publisher_get_rmw_handle()(publisher), &identity) != 0) {
-    reset_error();
+  if (!graph_identity(publisher, &identity))
     return;
-  }
   pthread_mutex_lock(&lock);
   if (!atomic_load(&node->marked)) {
     memcpy(node->mark, identity.data, MARK);

@@ -25,7 +25,7 @@ static struct receipts *map_receipts(struct entry *entry)
   return found;
 }
 
-void note_receipt(struct entry *entry, const struct message_info *info)
+void note_receipt(struct entry *entry, const struct message_info *info, const uint8_t writer[16])
 {
   if (!atomic_load_explicit(&entry->port->recorded, memory_order_acquire))
     return;
@@ -46,6 +46,6 @@ void note_receipt(struct entry *entry, const struct message_info *info)
   receipt->received = now_ns();
   receipt->sent = info->sent;
   receipt->number = info->number == UNNUMBERED ? 0 : info->number;
-  memcpy(receipt->writer, info->writer, sizeof receipt->writer);
+  memcpy(receipt->writer, writer, sizeof receipt->writer);
   atomic_store_explicit(&receipt->place, place + 1, memory_order_release);
 }

@@ -38,11 +38,14 @@ static int take_result(const void *subscription, int result, const struct messag
     begin_call(0);
   if (!entry)
     return open ? result : TAKE_FAILED;
-  if (info) /* before it is counted: fewer that are noted show that some are not */
-    note_receipt(entry, info);
+  uint8_t writer[sizeof info->writer];
+  if (info) {
+    writer_identity(subscription, info, writer);
+    note_receipt(entry, info, writer); /* before it is counted: fewer that are noted show that some are not */
+  }
   count_call(entry->port, open);
   if (open && info)
-    begin_input(entry, info);
+    begin_input(entry, info, writer);
   return open ? 0 : TAKE_FAILED;
 }
 

@@ -209,8 +209,7 @@ def _subscribe(node: Any, graph: ObservedGraph, publishers: list[ObservedEndpoin
     def heard(_: bytes, info: Any) -> None:
         known = rmw.message_info(info)
         written = known.source / 1e9 if known.source else time.monotonic()
-        writer = known.publisher if rmw.names_writers else None
-        graph.heard(topic, writer, written)
+        graph.heard(topic, known.publisher, written)
 
     reliable = all(each.qos.is_reliable for each in publishers)
     profile = QoSProfile(

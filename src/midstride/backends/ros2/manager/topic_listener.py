@@ -85,8 +85,7 @@ class RosListener:
         received = (info or {}).get("received_timestamp") or 0
         # Where the middleware does not say when it arrived, it was after the last look.
         at = self._now() - max(0.0, (time.time_ns() - received) / 1e9) if received else self._asked
-        writer = facts.publisher if self._rmw.names_writers else None
-        self._last.received(message, max(at, self._asked), facts.source, writer, kept=kept)
+        self._last.received(message, max(at, self._asked), facts.source, facts.publisher, kept=kept)
 
     def close(self) -> None:
         for subscription in (self._every, self._kept):
