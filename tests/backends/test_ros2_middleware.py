@@ -76,19 +76,50 @@ def test_a_number_that_is_not_one_is_unknown(
     assert rmw.message_info(None) == rmw.message_info({})
 
 
-def test_where_no_router_of_zenoh_answers_that_is_said_unless_it_may_be_elsewhere() -> None:
-    silent, asked = zenoh_router.problem, list[tuple[str, int]]()
+OVERRIDE = "ZENOH_CONFIG_OVERRIDE"
+
+
+@pytest.mark.parametrize(
+    ("environment", "routers"),
+    [
+        ({}, [("localhost", 7447)]),
+        ({OVERRIDE: 'mode="client"'}, [("localhost", 7447)]),
+        ({OVERRIDE: 'mode="client";connect/endpoints=["tcp/10.0.0.2:7448"]'}, [("10.0.0.2", 7448)]),
+        (
+            {OVERRIDE: 'connect/endpoints=["tcp/[fe80::1]:1#iface=eth0", "tcp/base:2"];connect/timeout_ms=5'},
+            [("fe80::1", 1), ("base", 2)],
+        ),
+        ({OVERRIDE: 'connect/endpoints=["tcp/base:2"]', "ZENOH_SESSION_CONFIG_URI": "own.json5"}, [("base", 2)]),
+        ({"ZENOH_SESSION_CONFIG_URI": "own.json5"}, []),
+        ({OVERRIDE: 'connect/endpoints=["tcp/base:2", "tls/base:7447"]'}, []),
+        ({OVERRIDE: "connect/endpoints=['tcp/base:2']"}, []),
+        ({OVERRIDE: 'connect/endpoints={"peer": ["tcp/base:2"]}'}, []),
+        ({OVERRIDE: 'connect={"endpoints": []}'}, []),
+        ({OVERRIDE: "connect/endpoints=[]"}, []),
+        ({OVERRIDE: "connect/endpoints=[7]"}, []),
+    ],
+)
+def test_where_a_router_of_zenoh_is_looked_for_is_as_the_environment_has_it_else_unknown(
+    environment: dict[str, str], routers: list[tuple[str, int]]
+) -> None:
+    assert zenoh_router.routers(environment) == routers
+    asked = list[tuple[str, int]]()
 
     def unanswered(address: tuple[str, int]) -> bool:
         asked.append(address)
         return False
 
-    assert "no Zenoh router answers at tcp/localhost:7447" in silent("rmw_zenoh_cpp", {}, unanswered)
-    assert asked == [("localhost", 7447)]
-    assert silent("rmw_zenoh_cpp", {}, lambda _: True) == ""
-    assert silent("rmw_zenoh_cpp", {"ZENOH_SESSION_CONFIG_URI": "own.json5"}, unanswered) == ""
-    assert silent("rmw_fastrtps_cpp", {}, unanswered) == ""
-    assert len(asked) == 1
+    said = zenoh_router.problem("rmw_zenoh_cpp", environment, unanswered)
+    assert asked == routers and bool(said) == bool(routers), "where it is not known, nothing is said"
+    assert zenoh_router.problem("rmw_zenoh_cpp", environment, lambda _: True) == ""
+    assert zenoh_router.problem("rmw_fastrtps_cpp", environment, unanswered) == ""
+
+
+def test_a_router_that_does_not_answer_is_named() -> None:
+    environment = {OVERRIDE: 'connect/endpoints=["tcp/[::1]:1","tcp/base:2"]'}
+    said = zenoh_router.problem("rmw_zenoh_cpp", environment, lambda _: False)
+    assert said.startswith("no Zenoh router answers at tcp/[::1]:1 or tcp/base:2: the nodes do not find each other")
+    assert not zenoh_router.answers(("localhost", 99_999)), "there is no such port"
 
 
 def test_a_router_answers_where_it_accepts_a_connection() -> None:

@@ -168,6 +168,8 @@ class Manager:
             interrupted = await self._journal.take_over()
             if self._journal.damaged is not None:
                 self.events.add("note", self._journal.damaged)
+            if (middleware := self._backend.middleware()).problem:  # before a start that may fail because of it
+                self.events.add("note", middleware.problem)
             if saved is not None:
                 self._store.take_over()
             lock = self._lock_before if saved is None else saved.lock
@@ -196,8 +198,6 @@ class Manager:
             remaining = remaining_degradations(self.system, Configuration(), intended)
             degraded = f"; degraded: {degradations_in_words(remaining)}" if remaining else ""
             without = f" without {', '.join(missing)}" if missing else ""
-            if (middleware := self._backend.middleware()).problem:
-                self.events.add("note", middleware.problem)
             by = f" with {middleware.where}" if middleware.where else ""
             self.events.add("up", f"{self.specification.name} is up{without}{by}: {many}{degraded}")
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
