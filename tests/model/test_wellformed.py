@@ -259,6 +259,18 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         f"{RESPAWN}/fallback",
         "the fallback of talker is Talker, the component that it has",
     ),
+    (
+        "E018",
+        [("/hosts", {"arm": {"ssh": "-p 22 arm"}})],
+        "/hosts/arm/ssh",
+        "`-p 22 arm` is no destination of `ssh`",
+    ),
+    (
+        "E019",
+        [("/hosts", {"arm": {}}), ("/resources", {"gpu": {"host": "arm"}})],
+        "/resources/gpu",
+        "resource `gpu` is said to belong to host arm",
+    ),
 ]
 
 

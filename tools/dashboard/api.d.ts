@@ -300,6 +300,7 @@ declare namespace Api {
     sections?: SectionForm[];
     container?: SharedContainerForm;
     process?: string;
+    host?: string;
     seconds: number;
   }
 
@@ -548,6 +549,16 @@ declare namespace Api {
     damaged: string | null;
   }
 
+  /** A computer that the manager reaches by OpenSSH. */
+  interface HostForm {
+    /** the destination as `ssh` takes it; unless stated the name */
+    ssh?: string;
+    /** what a shell sources there before it starts anything */
+    setup?: string;
+    /** where programs run there; unless stated the user's home directory */
+    folder?: string;
+  }
+
   /** An event besides changes, such as an instance that exited. */
   interface Incident {
     at: number;
@@ -582,6 +593,8 @@ declare namespace Api {
     sections?: SectionForm[];
     container?: SharedContainerForm;
     process?: string;
+    /** the host that it runs on; empty: that of the manager */
+    host?: string;
   }
 
   /** An instance, as it last reported itself. */
@@ -783,6 +796,8 @@ declare namespace Api {
     sections?: SectionForm[];
     /** what loads it beside other nodes */
     container?: string;
+    /** the host that it runs on; empty: that of the manager */
+    host?: string;
     role: string;
   }
 
@@ -798,6 +813,8 @@ declare namespace Api {
     sections?: SectionForm[];
     /** what loads it beside other nodes */
     container?: string;
+    /** the host that it runs on; empty: that of the manager */
+    host?: string;
   }
 
   /** A further place that a diagnostic is about. */
@@ -1230,6 +1247,8 @@ declare namespace Api {
   /** Something of which there is a limited amount. */
   interface ResourceForm {
     capacity?: number;
+    /** the host that has it, which the key ends with: `gpu on arm` */
+    host?: string;
   }
 
   /** When a node that has crashed is started again; `{}`: with the defaults. */
@@ -1331,6 +1350,8 @@ declare namespace Api {
     environment?: Record<string, string | null>;
     takes_seconds?: number;
     stop_seconds?: StopForm;
+    /** the host that it runs on; empty: that of the manager */
+    host?: string;
     name: string;
     /** parameters of further nodes in its process, as files order them */
     sections?: SectionForm[];
@@ -1348,6 +1369,8 @@ declare namespace Api {
     environment?: Record<string, string | null>;
     takes_seconds?: number;
     stop_seconds?: StopForm;
+    /** the host that it runs on; empty: that of the manager */
+    host?: string;
   }
 
   /** A component that does not answer, or a port that has been silent for so long (null: unknown). */
@@ -1385,6 +1408,8 @@ declare namespace Api {
     components?: Record<string, ComponentForm>;
     /** what composable nodes share, by name, namespaces in front */
     containers?: Record<string, SharedProgramForm>;
+    /** the computers besides that of the manager, by name */
+    hosts?: Record<string, HostForm>;
     /** the nodes, by name, namespaces in front */
     nodes?: Record<string, NodeForm>;
     constraints?: ConstraintForm[];

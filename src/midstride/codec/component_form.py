@@ -35,6 +35,7 @@ from midstride.codec.form import (
     LARGEST,
     Document,
     Form,
+    HostName,
     NonEmptyName,
     PositiveSeconds,
     SecondsOrZero,
@@ -65,6 +66,7 @@ from midstride.model.component import (
     StopTimes,
 )
 from midstride.model.contract import Predicate
+from midstride.model.hosts import OWN_HOST
 from midstride.model.name_checks import component_names
 
 InputNames: TypeAlias = Annotated[list[NonEmptyName], field("a list of names of inputs", "its inputs")]
@@ -239,6 +241,7 @@ class SharedProgramForm(ContainerForm, frozen=True):
     environment: Environment = {}
     takes_seconds: SecondsOrZero | UnsetType = UNSET
     stop_seconds: StopForm | UnsetType = UNSET
+    host: HostName = OWN_HOST
 
     @classmethod
     def of(cls, program: ContainerProgram) -> SharedProgramForm:
@@ -249,13 +252,14 @@ class SharedProgramForm(ContainerForm, frozen=True):
             dict(sorted(program.environment.items())),
             stated(program.startup_seconds),
             UNSET if program.stop is None else StopForm.of(program.stop),
+            program.host,
         )
 
     def program(self) -> ContainerProgram:
         stop = None if self.stop_seconds is UNSET else self.stop_seconds.times()
         environment = Map(self.environment)
         takes = given(self.takes_seconds)
-        return ContainerProgram(self.run, self.package, given(self.prefix), environment, takes, stop)
+        return ContainerProgram(self.run, self.package, given(self.prefix), environment, takes, stop, self.host)
 
 
 class ComponentForm(Form, frozen=True):

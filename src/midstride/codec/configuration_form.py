@@ -14,7 +14,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from midstride.codec.component_form import NamedComponentForm, SharedProgramForm
-from midstride.codec.form import Form, NonEmptyName, field
+from midstride.codec.form import Form, HostName, NonEmptyName, field
 from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.codec.reading import decode_form
 from midstride.codec.specification_form import SpecificationForm
@@ -22,6 +22,7 @@ from midstride.errors import SpecificationError
 from midstride.model.component import FunctionalityRef, PortRef, SharedContainer
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.diagnostics import Problem
+from midstride.model.hosts import OWN_HOST
 from midstride.model.specification import Specification
 
 AttachmentForm: TypeAlias = Annotated[tuple[str, str], field("an attachment", "[port, topic]")]
@@ -57,6 +58,7 @@ class InstanceForm(Form, frozen=True):
     sections: SectionsForm = []
     container: SharedContainerForm | UnsetType = UNSET
     process: str = ""
+    host: HostName = OWN_HOST
 
     @classmethod
     def of(cls, instance: Instance) -> InstanceForm:
@@ -68,6 +70,7 @@ class InstanceForm(Form, frozen=True):
             sections=[SectionForm.of(section) for section in instance.sections],
             container=UNSET if instance.container is None else SharedContainerForm.shared(instance.container),
             process=instance.process,
+            host=instance.host,
         )
 
     def instance(self) -> Instance:
@@ -75,7 +78,8 @@ class InstanceForm(Form, frozen=True):
         sections = tuple(form.section() for form in self.sections)
         values = values_of(self.parameters)
         container = None if self.container is UNSET else self.container.container()
-        return Instance(self.name, self.role, self.component.checked(), values, sections, container, self.process)
+        component = self.component.checked()
+        return Instance(self.name, self.role, component, values, sections, container, self.process, self.host)
 
 
 class ConfigurationForm(Form, frozen=True):

@@ -131,6 +131,9 @@ def by_name(what: str, description: str, pattern: str = TOKEN) -> Meta:
 
 
 NonEmptyName: TypeAlias = Annotated[str, Meta(min_length=1)]
+HostName: TypeAlias = Annotated[
+    str, field("the name of a host", "the host that it runs on; empty: that of the manager")
+]
 
 
 def encode(form: msgspec.Struct) -> Document:

@@ -4,13 +4,15 @@
      "topics":      {"/chatter": {"type": "std_msgs/msg/String", "rate": 10, "qos": {"depth": 5}, "max_publishers": 1}},
      "services":    {"/map": {"type": "nav_msgs/srv/GetMap", "within_seconds": 0.05}},
      "actions":     {"/dock": {"type": "nav2_msgs/action/DockRobot"}},
-     "resources":   {"gpu_memory": {"capacity": 8192}},
+     "resources":   {"gpu_memory": {"capacity": 8192}, "gpu on arm": {"host": "arm"}},
+     "hosts":       {"arm": {"ssh": "robot@arm", "setup": "/opt/ros/jazzy/setup.bash", "folder": "/opt/robot"}},
      "environment": {"camera": {"guarantee": {"type": …}}, "recording": {"guarantee": {…}, "topic": "/odom"}},
      "components":  {"Talker": …},
      "containers":  {"pipeline": {"run": "component_container_mt", "package": "rclcpp_components"}},
      "nodes":       {"talker": {"component": "Talker", "attachments": {"out": ["/chatter"]},
                                 "parameters": {"threshold": 0.5},
-                                "respawn": {"delay_seconds": 2, "fallback": "SimpleTalker"}, "container": "pipeline"}},
+                                "respawn": {"delay_seconds": 2, "fallback": "SimpleTalker"}, "container": "pipeline"},
+                     "gripper": {"component": "Gripper", "host": "arm"}},
      "constraints": [{"keep": "talker.talk", "at": "normal"}, {"limit": "talker.talk", "below_baseline_seconds": 2},
                      {"order": "talker", "before": "listener"}],
      "timing_seconds": {"create": 0.5},
@@ -45,6 +47,7 @@ from midstride.codec.form import (
     TOKEN,
     Document,
     Form,
+    HostName,
     NonEmptyName,
     PositiveSeconds,
     SecondsOrZero,
@@ -63,6 +66,7 @@ from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, valu
 from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.contract import ConnectorKind, Predicate
+from midstride.model.hosts import OWN_HOST, HostSpec, resource_key
 from midstride.model.name_checks import specification_names
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.specification import ChangeRequirement, Constraint, Keep, Limit, Node, Order, Specification
@@ -176,6 +180,39 @@ class ResourceForm(Form, frozen=True):
     what: ClassVar[str] = "a resource"
 
     capacity: Annotated[float, field("a capacity", gt=0, le=LARGEST)] | UnsetType = UNSET
+    host: Annotated[str, field("the name of a host", "the host that has it, which the key ends with: `gpu on arm`")] = (
+        OWN_HOST
+    )
+
+    @classmethod
+    def of(cls, resource: Resource) -> ResourceForm:
+        return cls(plain(resource.capacity), resource.host)
+
+    def resource(self, key: str) -> Resource:
+        name = key.removesuffix(resource_key("", self.host))
+        return Resource(name, 1.0 if self.capacity is UNSET else self.capacity, self.host)
+
+
+class HostForm(Form, frozen=True):
+    """A computer that the manager reaches by OpenSSH."""
+
+    what: ClassVar[str] = "a host"
+
+    ssh: (
+        Annotated[str, field("a destination", "the destination as `ssh` takes it; unless stated the name")] | UnsetType
+    ) = UNSET
+    setup: Annotated[str, field("a file", "what a shell sources there before it starts anything")] | UnsetType = UNSET
+    folder: (
+        Annotated[str, field("a folder", "where programs run there; unless stated the user's home directory")]
+        | UnsetType
+    ) = UNSET
+
+    @classmethod
+    def of(cls, host: HostSpec) -> HostForm:
+        return cls(UNSET if host.ssh == host.name else host.ssh, stated(host.setup), stated(host.folder))
+
+    def host(self, name: str) -> HostSpec:
+        return HostSpec(name, name if self.ssh is UNSET else self.ssh, given(self.setup), given(self.folder))
 
 
 class OfferForm(Form, frozen=True):
@@ -243,6 +280,7 @@ class NodeForm(Form, frozen=True):
     container: (
         Annotated[str, field("the name of a container", "what loads it beside other nodes", min_length=1)] | UnsetType
     ) = UNSET
+    host: HostName = OWN_HOST
 
     @classmethod
     def of(cls, node: Node, specification: Specification) -> NodeForm:
@@ -256,6 +294,7 @@ class NodeForm(Form, frozen=True):
             respawn=UNSET if node.respawn is None else RespawnForm.of(node.respawn),
             sections=[SectionForm.of(section) for section in node.sections],
             container=stated(node.container),
+            host=node.host,
         )
 
     def node(self, role: str) -> Node:
@@ -264,7 +303,7 @@ class NodeForm(Form, frozen=True):
         policy = None if self.respawn is UNSET else self.respawn.policy()
         sections = tuple(form.section() for form in self.sections)
         values = values_of(self.parameters)
-        return Node(role, self.component, Map(topics), values, policy, sections, given(self.container))
+        return Node(role, self.component, Map(topics), values, policy, sections, given(self.container), self.host)
 
 
 class ConstraintForm(ShapedForm, frozen=True):
@@ -380,6 +419,9 @@ class SpecificationForm(Form, frozen=True):
             f"{TOKEN}(/{TOKEN})*",
         ),
     ] = {}
+    hosts: Annotated[
+        dict[str, HostForm], by_name("an object of hosts", "the computers besides that of the manager, by name")
+    ] = {}
     nodes: Annotated[
         dict[str, NodeForm],
         by_name("an object of nodes", "the nodes, by name, namespaces in front", f"{TOKEN}(/{TOKEN})*"),
@@ -410,15 +452,14 @@ class SpecificationForm(Form, frozen=True):
             topics=_connector_forms(specification, "topic"),
             services=_connector_forms(specification, "service"),
             actions=_connector_forms(specification, "action"),
-            resources={
-                name: ResourceForm(plain(found.capacity)) for name, found in sorted(specification.resources.items())
-            },
+            resources={key: ResourceForm.of(found) for key, found in sorted(specification.resources.items())},
             environment={
                 offer.name: OfferForm(guarantee=PredicateForm.of(offer.guarantee), topic=offer.topic or UNSET)
                 for offer in specification.environment
             },
             components={name: ComponentForm.of(found) for name, found in sorted(specification.components.items())},
             containers={name: SharedProgramForm.of(found) for name, found in sorted(specification.containers.items())},
+            hosts={name: HostForm.of(found) for name, found in sorted(specification.hosts.items())},
             nodes={role: NodeForm.of(node, specification) for role, node in sorted(specification.nodes.items())},
             constraints=[ConstraintForm.of(constraint) for constraint in specification.constraints],
             timing_seconds=TimingForm(**timing) if timing else UNSET,
@@ -444,12 +485,8 @@ class SpecificationForm(Form, frozen=True):
                 EnvironmentGuarantee(name, form.guarantee.predicate(), given(form.topic))
                 for name, form in self.environment.items()
             ),
-            resources=Map(
-                {
-                    name: Resource(name, 1.0 if form.capacity is UNSET else form.capacity)
-                    for name, form in self.resources.items()
-                }
-            ),
+            resources=Map({key: form.resource(key) for key, form in self.resources.items()}),
+            hosts=Map({name: form.host(name) for name, form in self.hosts.items()}),
             constraints=tuple(form.constraint() for form in self.constraints),
             timing=Map(timing),
             requirements=tuple(form.requirement() for form in self.changes_require),

@@ -117,7 +117,7 @@ MODEL: Final = (
     ),
     _entry(
         "E008: unknown name",
-        """The name of a contract, topic, component, node, port, functionality, mode, resource or parameter is not
+        """The name of a contract, topic, component, node, port, functionality, mode, resource, host or parameter is not
         declared anywhere. A similar name is suggested if there is one. Relative names are resolved in the enclosing
         namespace.""",
         "declare it, or use a declared name",
@@ -140,6 +140,7 @@ MODEL: Final = (
         "system s\nenvironment { guarantee camera on /image : sensor_msgs/msg/Image }\n",
         "system s\ntiming { creat 1 s }\n",
         "system s\ncomponent B like A\n",
+        TALKING.replace("Talker { out", "Talker on amr { out") + "host arm { }\n",
     ),
     _entry(
         "E009: not a shell command",
@@ -229,6 +230,27 @@ MODEL: Final = (
         _json(
             '{"system": "s", "components": {"C": {"inputs": {"map": {"type": "a/srv/B", "where": {"x": {"=": 1}}}}}}}\n'
         ),
+    ),
+    _entry(
+        "E018: host that cannot be reached as declared",
+        """The manager reaches a host by OpenSSH, with the destination that `ssh` states, which is one word and no
+        option. What `setup` and `folder` name is on that host, so they are absolute paths. `manager` is the host of
+        the manager, which needs no declaration.""",
+        "write what the message says; ports, keys and other options of OpenSSH belong in ~/.ssh/config",
+        'system s\nhost arm { ssh "-p 2222 robot@arm" }\n',
+        'system s\nhost arm { folder "robot" }\n',
+        "system s\nhost manager { }\n",
+    ),
+    _entry(
+        "E019: host that does not have it",
+        """A process uses the resources of its own host alone, and a container loads nodes on its own host. Here a node
+        is on another one than what it needs. In the JSON form, the key of a resource ends with its host.""",
+        "put both on one host, or declare the resource on the host of the node",
+        "system s\nhost arm { }\nresource gpu on arm\ncomponent Detector { holds gpu }\nnode detector : Detector\n",
+        "system s\nhost arm { }\ncontainer pipeline\n"
+        'component Talker { run component "demo::Talker" package "demo" gate preload }\n'
+        "node talker : Talker in pipeline on arm\n",
+        _json('{"system": "s", "hosts": {"arm": {}}, "resources": {"gpu": {"host": "arm"}}}\n'),
     ),
     _entry(
         "E020: attachment whose contracts do not fit",

@@ -15,7 +15,7 @@ from immutables import Map
 
 from midstride.lang.component_builder import UNRESOLVED, ComponentBuilder
 from midstride.lang.contract_builder import ContractResolver
-from midstride.lang.declarations import Declarations, collect, resolve_topic
+from midstride.lang.declarations import Declarations, collect, host_of, resolve_topic
 from midstride.lang.diagnostic_text import Diagnostic, Note, Reporter, in_order
 from midstride.lang.hints import Hints, impact
 from midstride.lang.lexer import is_topic_name
@@ -24,9 +24,10 @@ from midstride.lang.node_builder import NodeBuilder
 from midstride.lang.source import Source, Span
 from midstride.lang.source_files import Bounds, FileReader, Loader, resolve_name
 from midstride.lang.source_map import SourceMap
-from midstride.lang.syntax import KeepStatement, OrderStatement
+from midstride.lang.syntax import HostDeclaration, KeepStatement, OrderStatement, ResourceDeclaration
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
-from midstride.model.diagnostics import Problem
+from midstride.model.diagnostics import Problem, suggestion, unknown_name
+from midstride.model.hosts import MANAGER, HostSpec
 from midstride.model.specification import ChangeRequirement, Constraint, Keep, Limit, Order, Specification, initial
 from midstride.model.specification_checks import check as check_specification
 
@@ -96,18 +97,18 @@ class _SpecificationBuilder:
         """The specification, with placeholders for what could not be resolved."""
         found = self.declarations
         nodes = self.nodes.build()
-        capacities = {name: resource.capacity for name, resource in found.resources.items()}
         return Specification(
             name="" if found.system is None else found.system.text,
             connectors=Map(self._connectors()),
             components=Map(self.nodes.components),
             nodes=Map(nodes),
             environment=tuple(self._offers()),
-            resources=Map({name: Resource(name, 1.0 if c is None else c.value) for name, c in capacities.items()}),
+            resources=Map({key: _resource(declared) for key, declared in found.resources.items()}),
             constraints=tuple(self._constraints()),
             timing=Map({kind: duration.seconds.value for kind, duration in found.timing.items()}),
             requirements=tuple(self._requirements()),
             containers=Map(self.components.containers(found.containers)),
+            hosts=Map({name: _host(declared) for name, declared in found.hosts.items()}),
         )
 
     def _connectors(self) -> dict[str, Connector]:
@@ -155,6 +156,8 @@ class _SpecificationBuilder:
         only_mismatches = not has_errors and {p.code for p in problems if p.severity == "error"} == {"E020"}
         at_start = initial(specification) if only_mismatches else None
         hints = Hints(specification)
+        if not files_missing:
+            self._report_unknown_hosts()
         for problem in problems:
             if problem.code in _CHECKED_HERE or (has_errors and problem.code in _WITHOUT_ERRORS) or not problem.subject:
                 continue
@@ -170,6 +173,14 @@ class _SpecificationBuilder:
                 follows = None if at_start is None else impact(problem, specification, at_start)
             help = hints.help_for(problem, "" if place is None else place.text)
             self.reporter.report(problem.code, place, problem.message, help=help, notes=notes, follows=follows)
+
+    def _report_unknown_hosts(self) -> None:
+        """Report hosts of namespaces and of included files, also where nothing in them has a host."""
+        known = {*self.declarations.hosts, MANAGER}
+        for name in self.declarations.around:
+            if name.text not in known and name.text not in self.skipped:
+                help = suggestion(name.text, known)
+                self.reporter.report("E008", name.span, unknown_name("host", name.text), help=help)
 
     def _contracts_of(self, problem: Problem, specification: Specification) -> list[Note]:
         """The places where the two contracts of an attachment are stated."""
@@ -232,3 +243,14 @@ class _SpecificationBuilder:
             uncertain = owner is not None and owner.name in unresolved.normal
             return port in unresolved.ports or topic in self.unresolved_topics or uncertain
         return False
+
+
+def _resource(declared: ResourceDeclaration) -> Resource:
+    return Resource(
+        declared.name.text, 1.0 if declared.capacity is None else declared.capacity.value, host_of(declared.host)
+    )
+
+
+def _host(declared: HostDeclaration) -> HostSpec:
+    name, ssh, setup, folder = (each and each.text for each in declared)
+    return HostSpec(name or "", ssh or name or "", setup, folder)

@@ -12,8 +12,9 @@ from midstride.lang.diagnostic_text import Reporter
 from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
 from midstride.lang.syntax import ComponentDeclaration, find
-from midstride.lang.token_stream import KEYWORD_PLACES, RESPAWN_WORDS
+from midstride.lang.token_stream import KEYWORD_PLACES, RESERVED, RESPAWN_WORDS
 from midstride.model.component import GATES
+from midstride.model.hosts import MANAGER
 from midstride.model.specification import TIMING
 
 # What comes before a keyword that is used as a name.
@@ -34,6 +35,7 @@ _STATEMENTS: Final = {
     "timing": TIMING,
     "topic": ("publishers",),
     "container": ("run", "environment"),
+    "host": ("ssh", "setup", "folder"),
     "parameters": ("changeable",),
 }
 
@@ -98,7 +100,7 @@ class _CursorContext:
             if kind in {"{", "}"} and not (found and kind == "{" and "in" in self.texts[-len(found) - 2 :]):
                 break
             found.append(text)
-            if kind == "name" and text in KEYWORD_PLACES:
+            if kind == "name" and text in RESERVED:
                 break
         return found[::-1]
 
@@ -136,10 +138,12 @@ class _CursorContext:
             yield "keyword", GATES
         elif first == "run" and last == "stop":
             yield "keyword", ("drain", "patience", "sigterm", "sigkill")
+        elif first in {"node", "container", "namespace", "resource", "include"} and last == "on":
+            yield "host", (*declarations.hosts, MANAGER)
         elif first == "node" and last == "in":
             yield "container", declarations.containers
         elif last == "holds":
-            yield "resource", declarations.resources
+            yield "resource", dict.fromkeys(declared.name.text for declared in declarations.resources.values())
         elif self.statement in (["keep"], ["limit"]) or (first == "order" and last in {"order", "before"}):
             yield "node", declarations.nodes
         elif first in {"keep", "limit"} and last == ".":

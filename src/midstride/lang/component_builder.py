@@ -14,7 +14,7 @@ from immutables import Map
 
 from midstride.lang import syntax
 from midstride.lang.contract_builder import ContractResolver, cycle_text
-from midstride.lang.declarations import MAX_PARTS, ancestry, limited
+from midstride.lang.declarations import MAX_PARTS, ancestry, host_of, limited
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.token_stream import RESERVED
 from midstride.model.component import (
@@ -128,7 +128,7 @@ class ComponentBuilder:
         found = {}
         for name, declared in declarations.items():
             variables = _variables(self._unique(declared.environment, _name, "variable"))
-            found[name] = _shared_container(declared.run, Map(variables))
+            found[name] = replace(_shared_container(declared.run, Map(variables)), host=host_of(declared.host))
         return found
 
     def _without_duplicates(self, own: syntax.ComponentDeclaration) -> syntax.ComponentDeclaration:

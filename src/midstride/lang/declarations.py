@@ -14,6 +14,7 @@ from midstride.lang import syntax
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.source import Span
 from midstride.lang.source_files import NamespacedFile, resolve_name
+from midstride.model.hosts import OWN_HOST, host_in_words, host_of_word, resource_key
 
 T = TypeVar("T")
 
@@ -51,13 +52,19 @@ class OfferEntry(NamedTuple):
 
 @dataclass(slots=True)
 class Declarations:
-    """All declarations by full name, in source order; constraints and parameter files with their namespaces."""
+    """All declarations by full name, in source order; constraints and parameter files with their namespaces.
+
+    Resources are by their keys, and nodes, containers and resources have the host of what encloses them, unless they
+    state their own.
+    """
 
     system: syntax.Name | None = None
     contracts: dict[str, syntax.ContractDeclaration] = field(default_factory=dict)
     components: dict[str, syntax.ComponentDeclaration] = field(default_factory=dict)
     resources: dict[str, syntax.ResourceDeclaration] = field(default_factory=dict)
     topics: dict[str, syntax.TopicDeclaration] = field(default_factory=dict)
+    hosts: dict[str, syntax.HostDeclaration] = field(default_factory=dict)
+    around: list[syntax.Name] = field(default_factory=list)  # the hosts that namespaces and included files are on
     containers: dict[str, syntax.ContainerDeclaration] = field(default_factory=dict)
     offers: dict[str, OfferEntry] = field(default_factory=dict)
     nodes: dict[str, NodeEntry] = field(default_factory=dict)
@@ -72,6 +79,11 @@ def resolve_topic(namespace: str, name: str, node: str | None = None) -> str:
     if name.startswith("~"):
         return "/" + resolve_name(namespace, node or "") + name[1:]
     return "/" + resolve_name(namespace, name)
+
+
+def host_of(name: syntax.Name | None) -> str:
+    """The name in the model of a host that the text names, if it does."""
+    return OWN_HOST if name is None else host_of_word(name.text)
 
 
 def ancestry(components: Mapping[str, syntax.ComponentDeclaration], name: str) -> Iterator[syntax.ComponentDeclaration]:
@@ -91,7 +103,7 @@ def collect(files_in_order: Iterable[NamespacedFile], reporter: Reporter) -> Dec
     for index, place in enumerate(files_in_order):
         if index == 0:
             found.system = place.file.system
-        collector.items(place.file.items, place.namespace)
+        collector.items(place.file.items, place.namespace, place.host)
     return found
 
 
@@ -101,14 +113,15 @@ class _Collector:
     reporter: Reporter
     orders: int = 0
     first: dict[tuple[str, str], Span] = field(default_factory=dict)  # where each name of each kind is declared first
+    on: dict[tuple[str, str], syntax.Name | None] = field(default_factory=dict)  # the host that each is on
 
-    def items(self, items: Iterable[syntax.Item], namespace: str) -> None:
+    def items(self, items: Iterable[syntax.Item], namespace: str, host: syntax.Name | None = None) -> None:
         found = self.found
         for item in items:
             match item:
                 case syntax.NodeDeclaration(name=name):
-                    role = resolve_name(namespace, name.text)
-                    self._add(found.nodes, role, NodeEntry(role, namespace, item), name, "node")
+                    role, placed = resolve_name(namespace, name.text), item._replace(host=item.host or host)
+                    self._add(found.nodes, role, NodeEntry(role, namespace, placed), name, "node", placed.host)
                 case syntax.TopicDeclaration():
                     self._topic(item, namespace)
                 case syntax.ContractDeclaration(name=name):
@@ -116,9 +129,14 @@ class _Collector:
                 case syntax.ComponentDeclaration(name=name):
                     self._add(found.components, name.text, item, name, "component")
                 case syntax.ResourceDeclaration(name=name):
-                    self._add(found.resources, name.text, item, name, "resource")
+                    of_host = item._replace(host=item.host or host)
+                    key = resource_key(name.text, host_of(of_host.host))
+                    self._add(found.resources, key, of_host, name, "resource")
+                case syntax.HostDeclaration(name=name):
+                    self._add(found.hosts, name.text, item, name, "host")
                 case syntax.ContainerDeclaration(name=name):
-                    self._add(found.containers, resolve_name(namespace, name.text), item, name, "container")
+                    full, on_host = resolve_name(namespace, name.text), item._replace(host=item.host or host)
+                    self._add(found.containers, full, on_host, name, "container", on_host.host)
                 case syntax.EnvironmentOffer(name=name):
                     full = resolve_name(namespace, name.text).replace("/", "_")
                     if len(found.offers) < MAX_PARTS:
@@ -128,7 +146,10 @@ class _Collector:
                 case syntax.StepDuration(kind=kind):
                     self._add(found.timing, kind.text, item, kind, "time for")
                 case syntax.NamespaceBlock(name=name):
-                    self.items(item.items, resolve_name(namespace, name.text))
+                    found.around += filter(None, [item.host])
+                    self.items(item.items, resolve_name(namespace, name.text), item.host or host)
+                case syntax.IncludeStatement(host=on):
+                    found.around += filter(None, [on])
                 case syntax.ParameterFile(path=path):
                     found.parameter_files.append((namespace, path))
                 case syntax.OrderStatement():
@@ -153,11 +174,29 @@ class _Collector:
             return
         self._add(self.found.topics, resolve_topic(namespace, name), item, item.name, "topic")
 
-    def _add(self, table: dict[str, T], full: str, item: T, name: syntax.Name, what: str) -> None:
+    def _add(
+        self,
+        table: dict[str, T],
+        full: str,
+        item: T,
+        name: syntax.Name,
+        what: str,
+        host: syntax.Name | None = None,
+    ) -> None:
+        """``host``: the one that it is on; a file that is included on two hosts declares it twice."""
         if full not in table:
             table[full] = item
             self.first[what, full] = name.span
-        elif (first := self.first[what, full]) != name.span:  # else one declaration, included in several namespaces
+            self.on[what, full] = host
+            return
+        first, on = self.first[what, full], self.on[what, full]
+        if first != name.span:  # else one declaration, included in several namespaces
             note = Note("first declared here", first)
             message = f"{what} `{full}` is already declared"
             self.reporter.report("E007", name.span, message, help="use another name", notes=[note])
+        elif host_of(on) != host_of(host):
+            places = " and on ".join(host_in_words(host_of(each)) for each in (on, host))
+            message = f"{what} `{full}` is on {places}: its file is included on both"
+            at = host or on or name
+            help = f"include the file in another namespace the second time, or move {what} `{name.text}` out of it"
+            self.reporter.report("E007", at.span, message, help=help)

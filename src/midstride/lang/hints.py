@@ -28,6 +28,7 @@ _DECLARATIONS: Final = {
     "resources": "resource {name} = CAPACITY",
     "components": "component {name} {{ … }}",
     "containers": "container {name}",
+    "hosts": "host {name} {{ … }}",
 }
 
 

@@ -130,11 +130,21 @@ class _Hover:
             yield f"loads {', '.join(f'`{role}`' for role in self.specification.members_of(symbol.name)) or 'no node'}"
 
     def resource(self, symbol: Symbol) -> Iterator[str]:
-        declared = self.specification.resources.get(symbol.name)
+        for key, declared in sorted(self.specification.resources.items()):
+            if declared.name == symbol.name:
+                where = f"on host {declared.host}: " if declared.host else ""
+                yield f"{where}capacity {format_number(declared.capacity)}"
+                held = 0.0 if self.configuration is None else float(self.configuration.held.get(key, 0))
+                yield f"{where}in use initially: {format_number(held)}"
+
+    def host(self, symbol: Symbol) -> Iterator[str]:
+        declared = self.specification.hosts.get(symbol.name)
         if declared is not None:
-            yield f"capacity {format_number(declared.capacity)}"
-            held = 0.0 if self.configuration is None else float(self.configuration.held.get(symbol.name, 0))
-            yield f"in use initially: {format_number(held)}"
+            yield f"reached as `{declared.ssh}`"
+            yield from (f"sources `{file}`" for file in filter(None, [declared.setup]))
+            yield f"programs run in {'the home directory' if declared.folder is None else f'`{declared.folder}`'}"
+            roles = [role for role, node in sorted(self.specification.nodes.items()) if node.host == symbol.name]
+            yield f"runs {', '.join(f'`{role}`' for role in roles) or 'no node'}"
 
     def guarantee(self, symbol: Symbol) -> Iterator[str]:
         for offer in self.specification.environment:

@@ -71,10 +71,16 @@ class SymbolIndex:
         for name, contract in found.contracts.items():
             yield Occurrence(Symbol("contract", name), contract.name.span, True)
             yield from self._contract(contract.contract)
-        for name, resource in found.resources.items():
-            yield Occurrence(Symbol("resource", name), resource.name.span, True)
+        for resource in found.resources.values():
+            yield Occurrence(Symbol("resource", resource.name.text), resource.name.span, True)
+            yield from self._host(resource.host)
+        for name, host in found.hosts.items():
+            yield Occurrence(Symbol("host", name), host.name.span, True)
+        for around in found.around:
+            yield from self._host(around)
         for name, container in found.containers.items():
             yield Occurrence(Symbol("container", name), container.name.span, True)
+            yield from self._host(container.host)
         for name, topic in found.topics.items():
             within = "" if topic.name.text.startswith("/") else name.removesuffix(topic.name.text).strip("/")
             yield Occurrence(Symbol("topic", name), topic.name.span, True, within)
@@ -99,6 +105,10 @@ class SymbolIndex:
         base = None if expression is None else expression.base
         if base is not None and base.text in self.declarations.contracts:
             yield Occurrence(Symbol("contract", base.text), base.span)
+
+    def _host(self, name: syntax.Name | None) -> Iterator[Occurrence]:
+        if name is not None and name.text in self.declarations.hosts:
+            yield Occurrence(Symbol("host", name.text), name.span)
 
     def _topic(self, namespace: str, name: syntax.Name, node: str | None) -> Occurrence:
         return Occurrence(Symbol("topic", resolve_topic(namespace, name.text, node)), name.span, namespace=namespace)
@@ -168,6 +178,7 @@ class SymbolIndex:
         if declared.container is not None:
             name = resolve_name(entry.namespace, declared.container.text)
             yield Occurrence(Symbol("container", name), declared.container.span, namespace=entry.namespace)
+        yield from self._host(declared.host)
         fallbacks = (statement.component for statement in declared.respawn)
         for component in filter(None, (declared.component, *fallbacks)):
             yield Occurrence(Symbol("component", component.text), component.span)

@@ -10,7 +10,7 @@ from typing import Final
 from immutables import Map
 
 from midstride.lang.component_builder import report_for_all
-from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, ancestry, limited, resolve_topic
+from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, ancestry, host_of, limited, resolve_topic
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.parameter_files import SectionInFile, read_sections, sections_of
 from midstride.lang.rcl_parameters import KEY, ParameterValueAt
@@ -137,7 +137,14 @@ class NodeBuilder:
         policy = respawn_policy(declaration.respawn, self.reporter)
         values = Map({text: each.value for text, each in stated.values.items()})
         container = None if (inside := declaration.container) is None else resolve_name(entry.namespace, inside.text)
-        return Node(entry.role, name, self._attachments(entry), values, policy, sections, container)
+        attachments, host = self._attachments(entry), self._host(declaration.host, container)
+        return Node(entry.role, name, attachments, values, policy, sections, container, host)
+
+    def _host(self, stated: Name | None, container: str | None) -> str:
+        """The host of a node: the one that is stated for it, else that of its container."""
+        if stated is None and container in self.declarations.containers:
+            stated = self.declarations.containers[container].host
+        return host_of(stated)
 
     def _other_sections(self, stated: _Stated) -> Iterator[ParameterSection]:
         """The sections that a further node in the process may read, which is none of the system's own nodes.

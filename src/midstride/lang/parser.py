@@ -21,6 +21,9 @@ from midstride.model.wording import KIND_WORDS, indefinite
 
 MAX_NESTING: Final = 16
 
+# What is stated of a host, each with the words for its value.
+_HOST_DETAILS: Final = {"ssh": "a destination of `ssh`", "setup": "an absolute path", "folder": "an absolute path"}
+
 
 def parse(source: Source, reporter: Reporter) -> syntax.File:
     """The syntax of ``source``, without the parts that cannot be parsed."""
@@ -55,6 +58,7 @@ class Parser(ComponentParser):
             "service": lambda start: items.append(self._topic(start, "service")),
             "action": lambda start: items.append(self._topic(start, "action")),
             "resource": lambda _: items.append(self._resource()),
+            "host": lambda start: items.append(self._host_declaration(start)),
             "container": lambda start: items.append(self._container_declaration(start)),
             "environment": lambda start: self._environment(start, items),
             "component": lambda start: items.append(self.component(start)),
@@ -72,7 +76,25 @@ class Parser(ComponentParser):
         if self.kinds[self.i] != "string":
             help = f'write `include "{self.texts[self.i]}.stride"`' if self.kinds[self.i] in {"name", "path"} else None
             raise self.fail("a file name in double quotes after `include`", help)
-        return syntax.IncludeStatement(self.text("a file name"))
+        return syntax.IncludeStatement(self.text("a file name"), self._on())
+
+    def _on(self) -> syntax.Name | None:
+        """The host after `on`, if it is stated."""
+        return self.name("the name of a host after `on`", ("{",)) if self.accept_word("on") else None
+
+    def _host_declaration(self, first: int) -> syntax.HostDeclaration:
+        name = self.name("the name of a host", ("{",))
+        found: dict[str, syntax.Name] = {}
+
+        def detail(word: str, start: int) -> None:
+            value = self.text(f"{_HOST_DETAILS[word]} in double quotes after `{word}`")
+            if word in found:
+                message = f"duplicate `{word}` of host `{name.text}`"
+                self.reporter.report("E128", self.span(start), message, help="keep one of them")
+            found.setdefault(word, value)
+
+        self.block(f"host `{name.text}`", first, {word: partial(detail, word) for word in _HOST_DETAILS})
+        return syntax.HostDeclaration(name, **found)
 
     def _contract(self, start: int) -> syntax.ContractDeclaration:
         name = self.name("a contract name", ("=",))
@@ -123,12 +145,14 @@ class Parser(ComponentParser):
 
     def _resource(self) -> syntax.ResourceDeclaration:
         name = self.resource("a resource name or device path")
+        host = self._on()
         self.layout.marks[self.i] = "resource ="
         capacity = self.number("a capacity") if self.accept("=") else None
-        return syntax.ResourceDeclaration(name, capacity)
+        return syntax.ResourceDeclaration(name, capacity, host)
 
     def _container_declaration(self, first: int) -> syntax.ContainerDeclaration:
         name = self.topic("a container name")
+        host = self._on()
         found: list[syntax.Run] = []
         environment: list[syntax.EnvironmentVariable] = []
 
@@ -142,7 +166,7 @@ class Parser(ComponentParser):
         if self.kinds[self.i] == "{":
             handlers: Handlers = {"run": run, "environment": lambda start: self.variables(start, environment)}
             self.block(f"container `{name.text}`", first, handlers)
-        return syntax.ContainerDeclaration(name, found[0] if found else None, tuple(environment))
+        return syntax.ContainerDeclaration(name, found[0] if found else None, tuple(environment), host)
 
     def _environment(self, first: int, items: list[syntax.Item]) -> None:
         def offer(_: int) -> None:
@@ -159,6 +183,7 @@ class Parser(ComponentParser):
         name = self.name("a node name", (":",))
         component: syntax.Name | None = None
         container: syntax.Name | None = None
+        host: syntax.Name | None = None
         attachments: list[syntax.Attachment] = []
         parameters: list[syntax.ParameterEntry] = []
         files: list[syntax.Name] = []
@@ -174,6 +199,7 @@ class Parser(ComponentParser):
             component = self.name("a component name", ("{",))
             if self.accept_word("in"):
                 container = self.topic("the name of a container after `in`")
+            host = self._on()
             if self.kinds[self.i] == "{":
                 self.layout.marks[self.i] = "node {"
                 what = f"node `{name.text}`"
@@ -181,9 +207,8 @@ class Parser(ComponentParser):
         except Panic:
             self._skip_statement(first)
             incomplete = True
-        return syntax.NodeDeclaration(
-            name, component, tuple(attachments), tuple(parameters), tuple(files), tuple(respawn), incomplete, container
-        )
+        stated = (tuple(attachments), tuple(parameters), tuple(files), tuple(respawn))
+        return syntax.NodeDeclaration(name, component, *stated, incomplete, container, host)
 
     def _respawn(self, statements: list[syntax.RespawnStatement], word: str, start: int) -> None:
         amount, bound, component, unlimited = None, None, None, False
@@ -224,6 +249,7 @@ class Parser(ComponentParser):
 
     def _namespace(self, first: int) -> syntax.NamespaceBlock:
         name = self.topic("a namespace name")
+        host = self._on()
         items: list[syntax.Item] = []
         if self._depth >= MAX_NESTING:
             message = f"namespaces are nested more than {MAX_NESTING} deep"
@@ -234,7 +260,7 @@ class Parser(ComponentParser):
             self.block(f"namespace `{name.text}`", first, self._handlers(items))
         finally:
             self._depth -= 1
-        return syntax.NamespaceBlock(name, tuple(items))
+        return syntax.NamespaceBlock(name, tuple(items), host)
 
     def _parameter_file(self) -> syntax.ParameterFile:
         what = "a ROS parameter file name in double quotes (parameter values belong in a component or a node)"

@@ -45,10 +45,14 @@ class Unreadable(Exception):
 
 @dataclass(frozen=True, slots=True)
 class NamespacedFile:
-    """The syntax of a file, and the namespace of its relative names (``""``: none)."""
+    """The syntax of a file, and the namespace of its relative names (``""``: none).
+
+    ``host``: where its nodes run unless they state another one.
+    """
 
     file: File
     namespace: str
+    host: Name | None = None
 
 
 def read_text(path: Path) -> str:
@@ -151,7 +155,10 @@ def shown_path(name: Name) -> str:
 
 @dataclass(slots=True)
 class Loader:
-    """Reads files and their includes. ``files_in_order`` holds each file once per namespace it is included in."""
+    """Reads files and their includes.
+
+    ``files_in_order`` holds each file once per namespace that it is included in, and per host.
+    """
 
     read: FileReader
     reporter: Reporter
@@ -161,7 +168,7 @@ class Loader:
     skipped: set[str] = field(default_factory=set)
     files_missing: bool = False  # whether a file could not be read: any name may be declared in it
     _files: dict[str, File | None] = field(default_factory=dict)
-    _done: set[tuple[str, str]] = field(default_factory=set)
+    _done: set[tuple[str, str, str]] = field(default_factory=set)
     _stack: list[str] = field(default_factory=list)
     _total: int = 0
 
@@ -179,21 +186,21 @@ class Loader:
         self.skipped |= file.skipped
         return file
 
-    def _place(self, key: str, file: File, namespace: str) -> None:
-        self._done.add((key, namespace))
+    def _place(self, key: str, file: File, namespace: str, host: Name | None = None) -> None:
+        self._done.add((key, namespace, "" if host is None else host.text))
         self._stack.append(key)
-        self.files_in_order.append(NamespacedFile(file, namespace))
-        self._follow_includes(file.items, namespace)
+        self.files_in_order.append(NamespacedFile(file, namespace, host))
+        self._follow_includes(file.items, namespace, host)
         self._stack.pop()
 
-    def _follow_includes(self, items: tuple[Item, ...], namespace: str) -> None:
+    def _follow_includes(self, items: tuple[Item, ...], namespace: str, host: Name | None) -> None:
         for item in items:
             if isinstance(item, NamespaceBlock):
-                self._follow_includes(item.items, resolve_name(namespace, item.name.text))
+                self._follow_includes(item.items, resolve_name(namespace, item.name.text), item.host or host)
             elif isinstance(item, IncludeStatement):
-                self._include(item.path, namespace)
+                self._include(item.path, namespace, item.host or host)
 
-    def _include(self, name: Name, namespace: str) -> None:
+    def _include(self, name: Name, namespace: str, host: Name | None) -> None:
         text, span = name
         try:
             path = self.bounds.path(name, ".stride")
@@ -208,7 +215,7 @@ class Loader:
             chain = " includes ".join(os.path.basename(name) for name in cycle)
             self.reporter.report("E103", span, f"include cycle: {chain}", help="remove one of the includes")
             return
-        if (key, namespace) in self._done:
+        if (key, namespace, "" if host is None else host.text) in self._done:
             return
         if bound := self._exceeded_limit():
             self.files_missing = True
@@ -225,7 +232,7 @@ class Loader:
             message = f"`{text}` is a complete system; only a fragment can be included"
             note = Note("system named here", file.system.span)
             self.reporter.report("E105", span, message, help="remove its `system` line", notes=[note])
-        self._place(key, file, namespace)
+        self._place(key, file, namespace, host)
 
     def _exceeded_limit(self) -> str | None:
         if len(self._stack) > MAX_DEPTH:

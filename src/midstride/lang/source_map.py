@@ -45,8 +45,12 @@ class SourceMap:
                 if rest[:1] == ["topic"] and offer.topic is not None:
                     return offer.topic.span
                 return _contract(offer.contract, rest[1:], offer.contract.span if rest else offer.name.span)
+            case ("hosts", name, *rest) if name in found.hosts:
+                return _host(found.hosts[name], rest)
             case ("resources", name, *rest) if name in found.resources:
                 resource = found.resources[name]
+                if rest == ["host"] and resource.host is not None:
+                    return resource.host.span
                 return resource.name.span if resource.capacity is None or not rest else resource.capacity.span
             case ("containers", name, *rest) if name in found.containers:
                 return _shared_container(found.containers[name], rest)
@@ -65,6 +69,8 @@ class SourceMap:
                 return declaration.component.span
             case ["container"] if declaration.container is not None:
                 return declaration.container.span
+            case ["host"] if (name := declaration.host or declaration.container or declaration.component) is not None:
+                return name.span
             case ["parameters", name, *_]:
                 return self.parameters.get((role, name), declaration.name.span)
             case ["respawn", *inner]:
@@ -77,8 +83,15 @@ class SourceMap:
         return declaration.name.span
 
 
+def _host(declaration: syntax.HostDeclaration, rest: Subject) -> Span:
+    named = {"ssh": declaration.ssh, "setup": declaration.setup, "folder": declaration.folder}
+    return (named.get(rest[0] if rest else "") or declaration.name).span
+
+
 def _shared_container(declaration: syntax.ContainerDeclaration, rest: Subject) -> Span:
     match rest:
+        case ["host"] if declaration.host is not None:
+            return declaration.host.span
         case ["environment", name] if (variable := find(declaration.environment, name)) is not None:
             return variable.name.span
     run = declaration.run

@@ -243,8 +243,20 @@ class ComponentDeclaration(NamedTuple):
 # -- the rest of a file ---------------------------------------------------------------------------------
 
 
+class HostDeclaration(NamedTuple):
+    """``host NAME { ssh "…" setup "…" folder "…" }``; each may be left out."""
+
+    name: Name
+    ssh: Name | None = None
+    setup: Name | None = None
+    folder: Name | None = None
+
+
 class IncludeStatement(NamedTuple):
+    """``include "PATH" on HOST``."""
+
     path: Name
+    host: Name | None = None
 
 
 class ContractDeclaration(NamedTuple):
@@ -264,10 +276,12 @@ class TopicDeclaration(NamedTuple):
 class ResourceDeclaration(NamedTuple):
     name: Name
     capacity: Number | None
+    host: Name | None = None
 
 
 class ContainerDeclaration(NamedTuple):
-    """``container NAME { run "PROGRAM" package "PACKAGE" environment { … } }``; what is in the braces may be left out.
+    """``container NAME on HOST { run "PROGRAM" package "PACKAGE" environment { … } }``; what is in the braces may be
+    left out.
 
     ``run``: the program, with its ``prefix``, ``startup`` and ``stop``, as for a component.
     """
@@ -275,6 +289,7 @@ class ContainerDeclaration(NamedTuple):
     name: Name
     run: Run | None
     environment: tuple[EnvironmentVariable, ...] = ()
+    host: Name | None = None
 
 
 class EnvironmentOffer(NamedTuple):
@@ -312,11 +327,15 @@ class NodeDeclaration(NamedTuple):
     respawn: tuple[RespawnStatement, ...]
     incomplete: bool
     container: Name | None = None
+    host: Name | None = None
 
 
 class NamespaceBlock(NamedTuple):
+    """``namespace NAME on HOST { … }``."""
+
     name: Name
     items: tuple[Item, ...]
+    host: Name | None = None
 
 
 class ParameterFile(NamedTuple):
@@ -372,8 +391,8 @@ class StepDuration(NamedTuple):
 ConstraintStatement: TypeAlias = "KeepStatement | LimitStatement | OrderStatement"
 Item: TypeAlias = (
     "IncludeStatement | ContractDeclaration | TopicDeclaration | ResourceDeclaration | EnvironmentOffer"
-    " | ContainerDeclaration | ComponentDeclaration | NodeDeclaration | NamespaceBlock | ParameterFile"
-    " | ConstraintStatement | StepDuration | ChangesStatement"
+    " | HostDeclaration | ContainerDeclaration | ComponentDeclaration | NodeDeclaration | NamespaceBlock"
+    " | ParameterFile | ConstraintStatement | StepDuration | ChangesStatement"
 )
 
 

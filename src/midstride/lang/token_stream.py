@@ -27,7 +27,7 @@ KEYWORD_PLACES: Final[Mapping[str, str]] = {
     **dict.fromkeys("resource component node namespace".split(), "at the top level or in a namespace"),
     **dict.fromkeys("keep limit order timing changes".split(), "at the top level or in a namespace"),
     "action": "at the top level, in a namespace or in a component",
-    "container": "at the top level or in a namespace",
+    **dict.fromkeys(("container", "host"), "at the top level or in a namespace"),
     "run": "in a component or in a container",
     **dict.fromkeys("holds input output server client allows functionality".split(), "in a component"),
     "parameters": "in a component, in a mode, in a node or at the top level",
@@ -36,7 +36,8 @@ KEYWORD_PLACES: Final[Mapping[str, str]] = {
     "assume": "in a mode",
     "guarantee": "in a mode or in the environment",
 }
-RESERVED: Final = frozenset(KEYWORD_PLACES)
+# Ports and the like may be called `host`: it begins a statement at the top level only before a name and `{`.
+RESERVED: Final = frozenset(KEYWORD_PLACES) - {"host"}
 
 # Punctuation that other languages have where this one has the other, or none (`node: talker`).
 _MISTAKEN_SIGNS: Final = {":", "="}
@@ -73,7 +74,11 @@ class TokenStream:
         return self.texts[self.i] == word and self.kinds[self.i] == "name"
 
     def is_keyword(self, index: int) -> bool:
-        return self.kinds[index] == "name" and self.texts[index] in RESERVED
+        if self.kinds[index] != "name":
+            return False
+        if self.texts[index] == "host":
+            return self.kinds[index + 1] == "name" and self.kinds[index + 2] == "{"
+        return self.texts[index] in RESERVED
 
     def _line(self, index: int) -> int:
         return self.tokens.source.position(self.tokens.starts[index])[0]

@@ -105,7 +105,7 @@ class Create(Action):
         after = self.effect(configuration)
         return tuple(
             Reason("capacity", (resource,), str(violation))
-            for resource in sorted(self.instance.component.resource_usage)
+            for resource in sorted(self.instance.resource_usage)
             if (violation := capacity_violation(after, resource)) is not None
         )
 

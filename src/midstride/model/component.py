@@ -20,6 +20,7 @@ from typing import Any, Final, Literal, NamedTuple, TypeAlias, get_args
 from immutables import Map
 
 from midstride.model.contract import NOTHING, ConnectorKind, Contract, Predicate, QoS, connector_kind
+from midstride.model.hosts import OWN_HOST, resource_key
 from midstride.model.wording import KIND_WORDS
 
 ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
@@ -73,7 +74,7 @@ class ContainerProgram:
     The rest is of a container that several nodes share, and of each of its processes; a node without one states that in
     its component. ``prefix``: the words before the program. ``environment``: the variables that it has besides, None
     for one that it does not inherit. ``startup_seconds``: how long it takes to start, before it loads a node.
-    ``stop``: how it is ended, once its last node leaves.
+    ``stop``: how it is ended, once its last node leaves. ``host``: the one that it runs on.
     """
 
     run: str = "component_container"
@@ -82,10 +83,11 @@ class ContainerProgram:
     environment: Map[str, str | None] = field(default_factory=Map)
     startup_seconds: float | None = None
     stop: StopTimes | None = None
+    host: str = OWN_HOST
 
     def same_process(self, other: ContainerProgram) -> bool:
         """Return whether the two start the same process, however long that takes to start and to end."""
-        own, theirs = ((each.run, each.package, each.prefix, each.environment) for each in (self, other))
+        own, theirs = ((each.run, each.package, each.prefix, each.environment, each.host) for each in (self, other))
         return own == theirs
 
 
@@ -603,7 +605,16 @@ class EnvironmentGuarantee:
 
 @dataclass(frozen=True, slots=True)
 class Resource:
-    """Something of limited capacity that components hold: a device file (1), memory (MiB), a processor (percent)."""
+    """Something of limited capacity that components hold: a device file (1), memory (MiB), a processor (percent).
+
+    ``host``: the one that has it; nodes on others cannot hold it.
+    """
 
     name: str
     capacity: float = 1.0
+    host: str = OWN_HOST
+
+    @property
+    def key(self) -> str:
+        """The name by which a specification and its configurations have it: ``gpu``, ``gpu on arm``."""
+        return resource_key(self.name, self.host)

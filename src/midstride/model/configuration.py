@@ -29,6 +29,7 @@ from midstride.model.component import (
     SharedContainer,
 )
 from midstride.model.contract import Contract, Predicate
+from midstride.model.hosts import OWN_HOST, resource_key
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -81,7 +82,7 @@ class Instance:
     ``parameters`` holds the value of every parameter: its component's where none is given. ``sections``: parameters of
     further nodes in its process. ``container``: the one of the system that loads it, where it shares one; ``process``
     is then the name of the process of a container that it is in with others, and empty where it has one for itself, as
-    a replacement has that has left the others.
+    a replacement has that has left the others. ``host``: the one that it runs on.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Instance:
     sections: tuple[ParameterSection, ...] = ()
     container: SharedContainer | None = None
     process: str = ""
+    host: str = OWN_HOST
 
     def __post_init__(self) -> None:
         declared = self.component.parameters
@@ -119,6 +121,12 @@ class Instance:
             startup_seconds=sum(times) if times else None,
             stop=stop,
         )
+
+    @property
+    def resource_usage(self) -> Map[str, float]:
+        """How much it holds of each resource of its host, by the key of the resource."""
+        usage = self.component.resource_usage
+        return Map({resource_key(name, self.host): usage[name] for name in usage}) if self.host else usage
 
     def functionality_refs(self) -> list[FunctionalityRef]:
         return [FunctionalityRef(self.name, name) for name in self.component.functionality_order]
@@ -251,7 +259,7 @@ class Configuration:
         if instance.name in self.instances:
             return self.without_instance(instance.name).with_instance(instance)
         held, holders = self.held, self.holders
-        for resource, amount in instance.component.resource_usage.items():
+        for resource, amount in instance.resource_usage.items():
             held = held.set(resource, held.get(resource, _NONE_HELD) + to_fraction(amount))
             holders = _added(holders, resource, instance.name)
         return replace(
@@ -270,7 +278,7 @@ class Configuration:
         for port, connector in self.attached_ports(name):
             isolated = isolated.without_attachment(port, connector)
         held, holders = isolated.held, isolated.holders
-        for resource, amount in instance.component.resource_usage.items():
+        for resource, amount in instance.resource_usage.items():
             holders = _dropped(holders, resource, name)
             rest = held[resource] - to_fraction(amount)
             held = held.set(resource, rest) if resource in holders else held.delete(resource)

@@ -23,6 +23,7 @@ from midstride.model.component import (
     Mode,
 )
 from midstride.model.diagnostics import Problem, SubjectPath, unknown_name, with_suggestions
+from midstride.model.hosts import MANAGER
 from midstride.model.load_words import LoadWords
 from midstride.model.specification import TIMING, Keep, Node, Order, Specification
 
@@ -234,11 +235,16 @@ def _specification_names(specification: Specification) -> Iterator[Problem]:
         yield from _invalid_name("environment guarantee", offer.name, ("environment", offer.name))
         if offer.topic is not None:
             yield from _unknown("topic", offer.topic, topics, ("environment", offer.name, "topic"), ("topics",))
+    resources = {resource.name for resource in specification.resources.values()}
     for name, component in sorted(specification.components.items()):
         yield from _component_names(component, ("components", name))
         for resource in sorted(component.resource_usage):
             holder: SubjectPath = ("components", name, "holds", resource)
-            yield from _unknown("resource", resource, specification.resources, holder, ("resources",))
+            yield from _unknown("resource", resource, resources, holder, ("resources",))
+    for name in sorted(specification.hosts):
+        yield from _invalid_name("host", name, ("hosts", name))
+    for key, declared in sorted(specification.resources.items()):
+        yield from _unknown_host(specification, declared.host, ("resources", key))
     for name, program in sorted(specification.containers.items()):
         yield from _shared_container(specification, name, program)
     for role, node in sorted(specification.nodes.items()):
@@ -251,6 +257,11 @@ def _specification_names(specification: Specification) -> Iterator[Problem]:
         yield from _unknown("kind of step", kind, TIMING, ("timing_seconds", kind), ())
 
 
+def _unknown_host(specification: Specification, host: str, path: SubjectPath) -> Iterator[Problem]:
+    if host:
+        yield from _unknown("host", host, {*specification.hosts, MANAGER}, (*path, "host"), ("hosts",))
+
+
 def _shared_container(specification: Specification, name: str, program: ContainerProgram) -> Iterator[Problem]:
     path: SubjectPath = ("containers", name)
     if not _ROLE.fullmatch(name) or len(name) > _LONGEST:
@@ -259,6 +270,7 @@ def _shared_container(specification: Specification, name: str, program: Containe
     if name in specification.nodes:
         message = f"`{name}` names both a container and a node: the container has a ROS node of its name"
         yield Problem("E007", path, message, "use another name for one of them")
+    yield from _unknown_host(specification, program.host, path)
     yield from _container(program, path)
     if program.prefix is not None:
         yield from _command(program.prefix, (*path, "prefix"))
@@ -279,6 +291,7 @@ def _node_names(specification: Specification, node: Node, path: SubjectPath) -> 
     if node.container is not None:
         known = specification.containers
         yield from _unknown("container", node.container, known, (*path, "container"), ("containers",))
+    yield from _unknown_host(specification, node.host, path)
     if node.respawn is not None and node.respawn.fallback is not None:
         where = (*path, "respawn", "fallback")
         yield from _unknown("component", node.respawn.fallback, specification.components, where, ("components",))

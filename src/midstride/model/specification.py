@@ -29,6 +29,7 @@ from midstride.model.component import (
 )
 from midstride.model.configuration import Configuration, Instance, SystemContext, configure
 from midstride.model.contract import Predicate, format_number
+from midstride.model.hosts import OWN_HOST, HostSpec
 from midstride.model.respawn import RespawnPolicy
 
 # The duration of a step (s) where neither the file nor earlier runs provide one; the orders of magnitude are measured.
@@ -80,6 +81,7 @@ class Node:
     ``respawn``: whether and when it is started again after a crash (None: it is not). ``sections``: those of its
     parameter files for further nodes in its process, in their order, where its program does not use Midstride's API.
     ``container``: the one of the system that loads it, where it is a composable node that shares its process.
+    ``host``: the one that it runs on.
     """
 
     role: str
@@ -89,6 +91,7 @@ class Node:
     respawn: RespawnPolicy | None = None
     sections: tuple[ParameterSection, ...] = ()
     container: str | None = None
+    host: str = OWN_HOST
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +154,8 @@ class Specification:
     """Everything a ``.stride`` file declares. ``timing`` holds what is stated of ``TIMING``, in s.
 
     ``requirements``: what has to hold for a change to happen. ``containers``: the programs of the containers that
-    composable nodes share, by the names of the containers.
+    composable nodes share, by the names of the containers. ``resources``: by their keys, which name their hosts.
+    ``hosts``: the computers besides that of the manager.
     """
 
     name: str
@@ -164,6 +168,7 @@ class Specification:
     timing: Map[str, float] = field(default_factory=Map)
     requirements: tuple[ChangeRequirement, ...] = ()
     containers: Map[str, ContainerProgram] = field(default_factory=Map)
+    hosts: Map[str, HostSpec] = field(default_factory=Map)
     _context: SystemContext | None = field(default=None, init=False, compare=False, repr=False)
 
     @property
@@ -182,7 +187,7 @@ class Specification:
         container = self.container_of(role)
         process = "" if container is None else container.name
         component = self.component_of(role)
-        return Instance(name or role, role, component, node.parameters, node.sections, container, process)
+        return Instance(name or role, role, component, node.parameters, node.sections, container, process, node.host)
 
     def container_of(self, role: str) -> SharedContainer | None:
         """The container that loads the node of ``role``; None where it shares none. Raises KeyError."""

@@ -42,6 +42,8 @@ from midstride.model.contract import (
 from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.gate_checks import gate_problems, gated_node_problems, managed_twice
+from midstride.model.host_checks import host_rules, placement_problems
+from midstride.model.hosts import resource_key
 from midstride.model.name_checks import component_names, node_names, specification_names
 from midstride.model.respawn_checks import respawn_problems
 from midstride.model.rules import attachment_shortfall, normal_guarantee
@@ -57,7 +59,8 @@ def check_component(component: ComponentSpec) -> tuple[Problem, ...]:
 def check_node(specification: Specification, role: str) -> tuple[Problem, ...]:
     """The problems of one node, without those of its component: names, contracts, parameters."""
     node, path = specification.nodes[role], ("nodes", role)
-    return _sorted([*node_names(specification, node, path), *_node_problems(specification, node, path)])
+    placed = placement_problems(specification, node, path)
+    return _sorted([*node_names(specification, node, path), *_node_problems(specification, node, path), *placed])
 
 
 def check(specification: Specification) -> tuple[Problem, ...]:
@@ -72,6 +75,7 @@ def check(specification: Specification) -> tuple[Problem, ...]:
         found += _node_problems(specification, node, ("nodes", role))
     found += managed_twice(specification)
     found += _too_many_publishers(specification)
+    found += host_rules(specification)
     found += _capacities(specification)
     found += _constraint_problems(specification)
     found += _requirement_problems(specification)
@@ -145,7 +149,7 @@ def _capacities(specification: Specification) -> Iterator[Problem]:
         component = specification.components.get(node.component)
         for resource, amount in () if component is None else component.resource_usage.items():
             if math.isfinite(amount):
-                holders.setdefault(resource, []).append((role, amount))
+                holders.setdefault(resource_key(resource, node.host), []).append((role, amount))
     for name, declared in specification.resources.items():
         total = sum((to_fraction(amount) for _, amount in holders.get(name, [])), start=Fraction())
         if 0 < declared.capacity < math.inf and total > to_fraction(declared.capacity):

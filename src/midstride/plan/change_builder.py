@@ -288,7 +288,7 @@ class ChangeBuilder:
             seeds.update(dict.fromkeys(configuration.consumers(connector)))
         live = (ref for ref in seeds if ref.instance in configuration.instances)
         final = configuration.with_modes(rebalanced(configuration, live))
-        resources = dict.fromkeys(r for instance in self.coming.values() for r in instance.component.resource_usage)
+        resources = dict.fromkeys(r for instance in self.coming.values() for r in instance.resource_usage)
         connectors = dict.fromkeys(connector for _, connector in self.attached)
         _check_limits("the target", final, connectors, resources)
         return final

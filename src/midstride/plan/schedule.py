@@ -89,12 +89,12 @@ class _Marker:
             case Create():
                 yield ("live", action.instance.name), Access.OWN
                 yield from self._role(action.instance.role)
-                for resource in action.instance.component.resource_usage:
+                for resource in action.instance.resource_usage:
                     yield ("resource", resource), Access.ACQUIRE
             case Remove():
                 yield ("live", action.instance), Access.OWN
                 yield from self._role(self.change.role_of(action.instance))
-                for resource in self.change.component_of(action.instance).resource_usage:
+                for resource in self.change.instance(action.instance).resource_usage:
                     yield ("resource", resource), Access.RELEASE
             case Attach():
                 yield from self._attachment(action.port, action.connector, Access.SUPPORT)

@@ -16,6 +16,7 @@ from typing import Final, NamedTuple, Protocol
 from midstride.errors import BackendError
 from midstride.model.component import DEFAULT_STOP, ComponentSpec, ParameterSection, StopTimes
 from midstride.model.contract import Predicate
+from midstride.model.hosts import OWN_HOST
 from midstride.model.load_words import LoadWords
 from midstride.model.wording import exception_in
 from midstride.runtime.manager_clock import Clock
@@ -49,6 +50,7 @@ class Launch:
     ``topics`` then has those of its ports. ``load``: what is loaded into the process once it runs, where the program is
     a component container. ``process``: the name of that container, where others are loaded into it as well; the first
     of them starts it. Empty where it has one for itself. ``returns``: a roll-back starts it again, as it was.
+    ``host``: the one that its process is to run on.
     """
 
     instance: str
@@ -72,6 +74,7 @@ class Launch:
     load: LoadWords | None = None
     process: str = ""
     returns: bool = False
+    host: str = OWN_HOST
 
 
 @dataclass(frozen=True, slots=True)

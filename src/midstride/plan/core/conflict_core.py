@@ -95,7 +95,7 @@ def scarce_resources(change: Change) -> list[str]:
     """The resources of which there is not enough for everything that runs and everything that comes."""
     demand: dict[str, Fraction] = {}
     for instance in change.coming:
-        for resource, amount in instance.component.resource_usage.items():
+        for resource, amount in instance.resource_usage.items():
             demand[resource] = demand.get(resource, Fraction()) + to_fraction(amount)
     held, context = change.start.held, change.start.context
     return sorted(r for r in demand if held.get(r, Fraction()) + demand[r] > to_fraction(context.capacity(r)))
@@ -143,7 +143,7 @@ def parts(change: Change, constraints: Iterable[Constraint], ignored: Collection
     urgent = bool(change.lowered)
     for kind, names in (("create", [i.name for i in change.coming]), ("remove", change.leaving)):
         for name in names:
-            used = [("resource", r) for r in scarce if r in change.component_of(name).resource_usage]
+            used = [("resource", r) for r in scarce if r in change.instance(name).resource_usage]
             if used or urgent or change.role_of(name) in ordered:
                 tie(Op(kind, name), *used, *([("urgent",)] if urgent else []))  # type: ignore[arg-type]
     for kind, pairs in (("attach", change.attached), ("detach", change.detached)):
@@ -220,7 +220,7 @@ def _part(
 def _holds(change: Change, op: Op, resource: str) -> Fraction:
     if op.port is not None:
         return Fraction()
-    return to_fraction(change.component_of(op.instance).resource_usage.get(resource, 0.0))
+    return to_fraction(change.instance(op.instance).resource_usage.get(resource, 0.0))
 
 
 def _seconds(change: Change, op: Op) -> float:

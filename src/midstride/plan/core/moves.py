@@ -96,7 +96,7 @@ def _creations(state: SearchState, unblocked: UnblockedRoles) -> Iterator[Move]:
     for name, instance in state.creates.items():
         if instance.role not in unblocked:
             continue
-        usage = instance.component.resource_usage
+        usage = instance.resource_usage
         shortages = ((resource, state.shortage(resource, to_fraction(usage[resource]))) for resource in sorted(usage))
         need: Need = tuple((resource, shortage) for resource, shortage in shortages if shortage > 0)
         if not need:
@@ -115,14 +115,14 @@ def _making_room(state: SearchState, need: Need, unblocked: UnblockedRoles) -> l
     configuration, change = state.builder.configuration, state.builder.change
 
     def enough(names: Iterable[str]) -> bool:
-        usages = [configuration.component(name).resource_usage for name in names]
+        usages = [configuration.instances[name].resource_usage for name in names]
         return all(sum(to_fraction(usage.get(r, 0.0)) for usage in usages) >= shortage for r, shortage in need)
 
     holders = [
         name
         for name in state.removes
         if change.role_of(name) in unblocked
-        and any(resource in configuration.component(name).resource_usage for resource, _ in need)
+        and any(resource in configuration.instances[name].resource_usage for resource, _ in need)
     ]
     holders.sort(key=lambda name: (not state.is_superseded(name), change.role_of(name) in change.target.nodes))
     found = [(name,) for name in holders if enough((name,))]

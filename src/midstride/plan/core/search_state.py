@@ -118,13 +118,13 @@ class SearchState:
             return self
         demand: dict[str, Fraction] = {}
         for instance in self.creates.values():
-            for resource, amount in instance.component.resource_usage.items():
+            for resource, amount in instance.resource_usage.items():
                 demand[resource] = demand.get(resource, _NOTHING) + to_fraction(amount)
         scarce = {resource for resource, amount in demand.items() if self.shortage(resource, amount) > 0}
         ready = [
             name
             for name, instance in self.creates.items()
-            if instance.role in unblocked and scarce.isdisjoint(instance.component.resource_usage)
+            if instance.role in unblocked and scarce.isdisjoint(instance.resource_usage)
         ]
         return self.create(*ready) if ready else self
 

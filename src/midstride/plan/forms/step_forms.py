@@ -10,7 +10,7 @@ from immutables import Map
 from msgspec import UNSET, UnsetType
 
 from midstride.codec.configuration_form import SharedContainerForm
-from midstride.codec.form import FiniteNumber, Form, field
+from midstride.codec.form import FiniteNumber, Form, field, given
 from midstride.codec.parameter import SectionForm, SectionsForm, ValueForm, values_form, values_of
 from midstride.errors import PlanRefused
 from midstride.model.action import (
@@ -27,6 +27,7 @@ from midstride.model.action import (
 )
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Instance
+from midstride.model.hosts import OWN_HOST
 from midstride.plan.change import Change
 from midstride.plan.step import ModeChange, Step
 
@@ -80,6 +81,7 @@ class CreateStep(StepForm, frozen=True, kw_only=True, tag="create"):
     sections: SectionsForm | UnsetType = UNSET
     container: SharedContainerForm | UnsetType = UNSET
     process: str | UnsetType = UNSET
+    host: str | UnsetType = UNSET
     seconds: FiniteNumber
 
 
@@ -161,6 +163,7 @@ def _form(step: Step) -> AnyStep:
                 sections=[SectionForm.of(section) for section in new.sections] or UNSET,
                 container=UNSET if new.container is None else SharedContainerForm.shared(new.container),
                 process=UNSET if new.container is None else new.process,
+                host=new.host or UNSET,
                 seconds=seconds,
             )
         case Remove():
@@ -217,8 +220,9 @@ def _action(change: Change, known: Mapping[str, Instance], form: AnyStep) -> Act
             sections = () if form.sections is UNSET else tuple(each.section() for each in form.sections)
             container = None if form.container is UNSET else form.container.container()
             process = "" if form.process is UNSET else form.process
+            host = given(form.host) or OWN_HOST
             values = values_of(form.parameters)
-            return Create(Instance(form.instance, form.role, component, values, sections, container, process))
+            return Create(Instance(form.instance, form.role, component, values, sections, container, process, host))
         case RemoveStep():
             return Remove(form.instance)
         case AttachStep():

@@ -125,8 +125,8 @@ def _no_room(change: Change, resources: Sequence[str]) -> Iterator[str]:
     """The resources too scarce for everything new to be created before anything is removed."""
     configuration = change.start
     for resource in sorted(set(resources).intersection(scarce_resources(change))):
-        names = [name for name in change.leaving if resource in configuration.component(name).resource_usage]
-        names += [instance.name for instance in change.coming if resource in instance.component.resource_usage]
+        names = [name for name in change.leaving if resource in configuration.instances[name].resource_usage]
+        names += [instance.name for instance in change.coming if resource in instance.resource_usage]
         capacity = format_number(configuration.context.capacity(resource))
         yield f"{' and '.join(names)} do not fit at the same time: {resource} has a capacity of {capacity}"
 

@@ -102,4 +102,5 @@ def launch_of(
         load,
         instance.process,
         returns,
+        instance.host,
     )
