@@ -71,8 +71,10 @@ def test_a_number_that_is_not_one_is_unknown(
     rmw: middleware.RmwImplementation, number: int, expected: int | None
 ) -> None:
     found = rmw.message_info({**INFO, "publication_sequence_number": number})
-    writer = bytes(range(16)).hex() if rmw in (FAST_DDS, ZENOH) else None
-    assert (found.source, found.number, found.publisher) == (7, expected, writer)
+    writer = bytes(range(16)).hex()
+    shared = writer if rmw in (FAST_DDS, ZENOH) else None
+    assert (found.source, found.number, found.publisher) == (7, expected, shared)
+    assert found.distinct_writer == writer
     assert rmw.message_info(None) == rmw.message_info({})
 
 

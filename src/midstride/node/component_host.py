@@ -26,15 +26,21 @@ class MessageInfo:
     """The middleware's report of a received message; None where it has none.
 
     ``source`` is the time of publication (ns), ``number`` the publisher's own count,
-    ``publisher`` an opaque identity of the publishing endpoint. ``stamp`` is the time in
+    ``publisher`` an opaque identity of the publishing endpoint, the same in every process. ``stamp`` is the time in
     the message's header, which is the same for every receiver: where the time of publication is unknown, it is good
-    enough to agree on a cut.
+    enough to agree on a cut. ``writer`` is an identity that only this process has, where there is no other.
     """
 
     source: int | None
     number: int | None
     publisher: str | None
     stamp: int | None = None
+    writer: str | None = None
+
+    @property
+    def distinct_writer(self) -> str | None:
+        """An identity that tells the publishers of this process's messages apart, whether or not others have it."""
+        return self.writer if self.publisher is None else self.publisher
 
 
 class Publisher(Protocol):

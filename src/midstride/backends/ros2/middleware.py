@@ -96,10 +96,12 @@ class RmwImplementation:
             return _NOTHING
         number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
         data = gid.get("data") if isinstance(gid, dict) else gid
+        writer = bytes(data)[:IDENTITY].hex() if data else None
         return MessageInfo(
             source=info.get("source_timestamp") or None,
             number=None if number in (None, _UNSUPPORTED) or not self.numbers_messages else int(number),
-            publisher=bytes(data)[:IDENTITY].hex() if data and self.names_writers else None,
+            publisher=writer if self.names_writers else None,
+            writer=writer,
         )
 
     def limits(self) -> Iterator[str]:

@@ -264,7 +264,7 @@ class CommandHandlers:
         rows = []
         for received, native in receipts:
             info = self.host.read_info(native)
-            rows.append(replies.Receipt(received, info.source, info.number, info.publisher))
+            rows.append(replies.Receipt(received, info.source, info.number, info.distinct_writer))
         identity = bool(rows) and all(row.publisher is not None for row in rows)
         moments = None
         if self.host.simulated_time:
