@@ -1,11 +1,11 @@
 """What all tests share: ROS's environment, the markers that depend on the machine, hypothesis's profiles.
 
 A test that needs ROS is marked ``ros2`` or ``ros1`` and imports it inside the test (or a fixture), so that it can be
-collected without ROS. There it is skipped, with the reason. A test of what Fast DDS alone has is marked ``fast_dds`` as
-well, and is skipped where ``RMW_IMPLEMENTATION`` names another middleware. If ``MIDSTRIDE_NEEDS_ROS2`` is set, ROS 2 is
-part of the environment: the test runs, and fails without it. The same holds for the markers ``alloy`` (the Alloy
-Analyzer and Java), ``graphviz``, ``browser`` (Chromium), ``rust`` (what tools/rust builds) and ``arm64`` (a compiler
-and an emulator). tools/test sets these variables for everything that it was able to install.
+collected without ROS. There it is skipped, with the reason. A test of what Fast DDS alone has or tells is marked
+``fast_dds`` as well, and is skipped where ``RMW_IMPLEMENTATION`` names another middleware. If ``MIDSTRIDE_NEEDS_ROS2``
+is set, ROS 2 is part of the environment: the test runs, and fails without it. The same holds for the markers ``alloy``
+(the Alloy Analyzer and Java), ``graphviz``, ``browser`` (Chromium), ``rust`` (what tools/rust builds) and ``arm64`` (a
+compiler and an emulator). tools/test sets these variables for everything that it was able to install.
 """
 
 from __future__ import annotations
@@ -89,7 +89,11 @@ def _unavailable(marker: str) -> str | None:
     """Why tests with this marker are skipped here; None if they run."""
     if marker == "fast_dds":
         middleware = os.environ.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
-        return None if middleware.startswith("rmw_fastrtps") else f"about Fast DDS, and this is {middleware}"
+        return (
+            None
+            if middleware.startswith("rmw_fastrtps")
+            else f"about what Fast DDS alone has or tells, and this is {middleware}"
+        )
     if os.environ.get(f"MIDSTRIDE_NEEDS_{marker.upper()}"):
         return None
     if marker in _MODULES:

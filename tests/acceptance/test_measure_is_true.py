@@ -36,7 +36,8 @@ from tests.acceptance.support import (
 )
 from tests.backends.ros2_support import Rig, rig, run, until_async
 
-pytestmark = pytest.mark.ros2
+# By its numbers the messages of two publishers are told apart, and what is lost is known.
+pytestmark = [pytest.mark.ros2, pytest.mark.fast_dds]
 SWAPS = 5
 # For how long a process is stopped (s): longer than a queue of ten messages lasts, and than an old side waits.
 STILL = 0.6

@@ -21,7 +21,13 @@ from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.reaper import process_info
 from midstride.runtime.workspace import Workspace
 from tests.acceptance.support import BENCHMARKS, ended, other_source, swap_specification
-from tests.backends.ros2_support import TALKER, run, until_async
+from tests.backends.ros2_support import (
+    TALKER,
+    messages_are_numbered,
+    publishers_are_told_apart,
+    run,
+    until_async,
+)
 
 pytestmark = [pytest.mark.ros2, pytest.mark.full]
 
@@ -75,7 +81,9 @@ def test_components_start_in_spares_and_outlive_their_manager(tmp_path: Path) ->
             spares.append(await ready(backend))
             outcome = await manager.change(other_source(manager))
             assert (outcome.outcome, outcome.because) == ("done", None)
-            assert [(swap.lost, swap.duplicates) for swap in outcome.swaps] == [(0, 0)]
+            [swap] = outcome.swaps
+            assert swap.lost == 0 or (swap.lost is None and not messages_are_numbered())
+            assert swap.duplicates == 0 or (swap.duplicates is None and not publishers_are_told_apart())
             source = next(each for each in (await manager.status()).instances if each.role == "source")
             assert source.pid == spares[-1]
         status = await manager.status()

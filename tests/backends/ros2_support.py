@@ -78,6 +78,18 @@ def publishers_are_identified() -> bool:
     return info is not None and "publisher_gid" in info.__annotations__
 
 
+def messages_are_numbered() -> bool:
+    """Whether the middleware numbers the messages of each publisher; what is lost is known by nothing else."""
+    from midstride.backends.ros2 import middleware
+
+    return middleware.of_this_process().numbers_messages
+
+
+def publishers_are_told_apart() -> bool:
+    """Whether messages of two publishers of a topic are told apart, by identity or by number."""
+    return publishers_are_identified() or messages_are_numbered()
+
+
 def tuned_environment(environment: Mapping[str, str]) -> dict[str, str]:
     """``environment`` with the middleware set as for a process that a manager starts."""
     from midstride.backends.ros2 import dds_profiles

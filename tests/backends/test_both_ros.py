@@ -17,7 +17,7 @@ from midstride.runtime.process.reaper import Reaper, remaining_groups
 from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.backends.ros1_support import own_master_uri
-from tests.backends.ros2_support import run, until_async
+from tests.backends.ros2_support import messages_are_numbered, run, until_async
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "talker"
 OURS = "MIDSTRIDE_TEST_RUN"
@@ -78,7 +78,8 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
                     assert outcome.outcome == "done", outcome.because
                     assert outcome.below_baseline_seconds == {}
                     (swap,) = outcome.swaps
-                    assert (swap.subscriber, swap.lost) == ("listener.in", 0)
+                    assert swap.subscriber == "listener.in"
+                    assert swap.lost == 0 or (swap.lost is None and not messages_are_numbered())
                     assert swap.duplicates in (0, None)  # not every ROS 2 tells the publisher's identity
             for manager in managers:
                 # A node's name may reach the graph seconds after its endpoints.

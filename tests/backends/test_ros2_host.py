@@ -783,6 +783,7 @@ def test_a_component_whose_data_thread_ends_says_so_and_ends(tmp_path: Path) -> 
     run(scenario())
 
 
+@pytest.mark.fast_dds
 @pytest.mark.full
 def test_an_input_records_what_the_middleware_tells(tmp_path: Path) -> None:
     async def scenario() -> None:
