@@ -72,6 +72,14 @@ def test_a_component_names_its_system_which_may_be_found_here(rmw: str, tmp_path
         assert owner(rmw, instance=instance) == described(pid) == whole
 
 
+def test_an_own_instance_of_that_name_is_not_the_owner(tmp_path: Path) -> None:
+    token = f"token of {tmp_path}"
+    variables = {ENV_TOKEN: token, ENV_INSTANCE: "talker", ENV_CONTROL: "/run/own/components"}
+    with sleeping(variables):
+        found = owner("rmw_cyclonedds_cpp", instance=InstanceNode("/talker", "/talker", system_tag(token)))
+    assert found == "whose it is, is not known: rmw_cyclonedds_cpp does not tell which process has a node"
+
+
 def test_any_other_process_is_shown_by_its_command_line() -> None:
     with sleeping({}) as pid:
         assert described(pid) == f"it is process {pid} (`sleep 600`)"

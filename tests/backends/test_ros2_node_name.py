@@ -135,7 +135,8 @@ def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(t
                     middleware.of_this_process().name_delay
                 )  # of two that join together, either may give way
                 with Bare("counter"):
-                    await refused_soon(r, f"it is process {os.getpid()} ")
+                    told = middleware.of_this_process().fast_dds
+                    await refused_soon(r, f"it is process {os.getpid()} " if told else "whose it is, is not known: ")
             else:
                 await other.start("counter_3", COUNTING, node="counter")
                 await until_async(lambda: r.shows_node("/counter_3"))

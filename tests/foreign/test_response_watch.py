@@ -65,6 +65,16 @@ def test_a_request_that_waits_for_longer_than_is_tolerated() -> None:
     assert served.look(10.5) is None  # one that is late is tolerated
 
 
+def test_a_server_that_is_busy_with_a_request_has_not_answered_it() -> None:
+    """Cyclone DDS says when a request was taken, which is after the wait for it; Fast DDS when it arrived."""
+    for arrived in (9.999, 10.001):
+        served = Served(0.05, 5)
+        served.port.waiting, served.port.busy = served.since(arrived), served.since(10)
+        assert served.look(12) == ("has not answered a request", round(12 - arrived, 3))
+        served.port.waiting = served.since(10.2)  # another one, which a further thread has taken
+        assert served.look(12) == ("has not waited for requests", 2.0)
+
+
 def test_unless_stated_as_much_is_tolerated_as_of_messages() -> None:
     assert ResponseWatch(0.05).tolerated == 5.0
     assert ResponseWatch(1.0).tolerated == 11.0

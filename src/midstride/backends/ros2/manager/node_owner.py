@@ -32,9 +32,12 @@ def node_owner(graph: Graph, node: str, control: Path) -> str:
     others = [pid for pid in pids if environment_value(pid, ENV_CONTROL) != str(control.absolute())]
     if pids:
         return described((others or pids)[0])
-    instance = next((found for found in graph.of_name(node) if found is not None and found.system), None)
-    if instance is not None:
+    for instance in graph.of_name(node):
+        if instance is None or not instance.system:
+            continue
         pid = _pid_of_instance(instance)
+        if pid is not None and environment_value(pid, ENV_CONTROL) == str(control.absolute()):
+            continue
         unknown = f"it is {instance.instance.strip('/')} of another Midstride system; {ELSEWHERE}"
         return unknown if pid is None else described(pid)
     if not graph.rmw.fast_dds:
