@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from random import Random
 from typing import Any
 
 import msgspec
@@ -62,6 +64,7 @@ from midstride.wire.commands import (
     YieldCommand,
 )
 from midstride.wire.frames import (
+    DEEPEST,
     PROTOCOL,
     Greeting,
     Hello,
@@ -75,6 +78,7 @@ from midstride.wire.frames import (
     decode_greeting,
     encode,
     encode_value,
+    nested_too_deep,
 )
 from midstride.wire.program import FileFingerprint, Program
 from midstride.wire.replies import (
@@ -355,6 +359,30 @@ def test_garbage_is_not_a_frame_of_a_client(line: bytes) -> None:
 def test_garbage_is_not_a_frame_of_a_component(line: bytes) -> None:
     with pytest.raises(ProtocolError, match="not a frame of a component"):
         decode_from_component(line)
+
+
+def test_how_deep_a_frame_may_be_nested_is_the_same_on_each_version_of_python() -> None:
+    """Brackets in strings are none, also behind quotes that are escaped."""
+    random, words = Random(5), ["[", "{", '"', "\\", '\\"[[', "]"]
+    refused = 0
+    for _ in range(300):
+        value: Any = random.choice(words)
+        depth = 0
+        for _ in range(random.choice([3, DEEPEST - 1, DEEPEST, DEEPEST + 1, DEEPEST + 20])):
+            beside = [random.choice(words), *[[]] * random.randrange(2)]
+            flat = len(beside) - 1
+            if random.random() < 0.5:
+                value, depth = [*beside, value], 1 + max(depth, flat)
+            else:
+                value, depth = {random.choice(words): value, "beside": beside}, 1 + max(depth, 1 + flat)
+        assert nested_too_deep(json.dumps(value).encode()) == (depth > DEEPEST)
+        refused += depth > DEEPEST
+    assert 50 < refused < 250
+    with pytest.raises(ProtocolError, match=f"not a frame of a client: nested more than {DEEPEST} deep"):
+        decode_from_client(b'{"frame": "request", "id": "1", "command": ' + DEEPEST * b"[" + DEEPEST * b"]" + b"}")
+    for open_at_the_end in ((DEEPEST + 1) * b"{", b'"' + 2 * DEEPEST * b"[" + b'"' + (DEEPEST + 1) * b"["):
+        assert nested_too_deep(open_at_the_end)
+    assert not nested_too_deep(b"[]" * 10 * DEEPEST)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,9 @@ the system it acts for. Then the client sends requests, and the component replie
 
 from __future__ import annotations
 
+import re
 from functools import reduce
+from itertools import accumulate
 from operator import or_
 from typing import Any, Final, TypeAlias, TypeVar
 
@@ -23,6 +25,8 @@ from midstride.wire.state import ComponentState, Endpoint, WireValue
 PROTOCOL: Final = 11
 # The longest frame (bytes): recorded receipts and exported state included.
 LONGEST_FRAME: Final = 256 * 1024 * 1024
+# How deep lists and objects in a frame may be nested: each version of Python reads so deep, and none much deeper.
+DEEPEST: Final = 500
 
 
 class Frame(WireValue, frozen=True, kw_only=True, tag_field="frame"):
@@ -102,6 +106,10 @@ _versioned: Final[msgspec.json.Decoder[_Versioned]] = msgspec.json.Decoder(_Vers
 _from_component: Final[msgspec.json.Decoder[FromComponent]] = msgspec.json.Decoder(FromComponent)
 _from_client: Final[msgspec.json.Decoder[FromClient]] = msgspec.json.Decoder(FromClient)
 _command: Final[msgspec.json.Decoder[Command[Any]]] = msgspec.json.Decoder(reduce(or_, COMMANDS.values()))
+# One that is not ended goes to the end of the text: nothing of it is tried twice.
+_STRING: Final = re.compile(rb'"[^"\\]*(?:\\.?[^"\\]*)*(?:"|\Z)', re.DOTALL)
+_NO_BRACKETS: Final = bytes(byte for byte in range(256) if byte not in b"[{]}")
+_STEPS: Final = bytes.maketrans(b"[{]}", bytes([2, 2, 0, 0]))  # plus one
 # What decoding raises for input that is not valid; msgspec does not translate the last two.
 INVALID: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
@@ -141,10 +149,20 @@ def decode_from_client(line: bytes) -> FromClient:
 
 
 def _decode(decoder: msgspec.json.Decoder[T], line: bytes, what: str) -> T:
+    if nested_too_deep(line):
+        raise ProtocolError(f"not {what}: nested more than {DEEPEST} deep")
     try:
         return decoder.decode(line)
     except INVALID as error:
         raise ProtocolError(f"not {what}: {error}") from None
+
+
+def nested_too_deep(line: bytes) -> bool:
+    """Return whether lists and objects are nested more than ``DEEPEST`` deep in what may be JSON."""
+    if line.count(b"[") + line.count(b"{") <= DEEPEST:  # most frames: whatever of these is in strings
+        return False
+    brackets = _STRING.sub(b"", line).translate(_STEPS, _NO_BRACKETS)
+    return max(accumulate(brackets, lambda depth, step: depth + step - 1, initial=0)) > DEEPEST
 
 
 def decode_command(request: Request) -> Command[Any]:
