@@ -38,7 +38,7 @@ rospy.init_node = functools.partial(rospy.init_node, xmlrpc_port=int(sys.argv[1]
 """
 
 
-def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None:
+def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             greeting, registration = await r.start("talker", TALKER)
@@ -60,6 +60,11 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
             assert not alive(pid)
             assert r.exits == []  # a requested end is not reported
             assert await clean(r, "/talker")
+            where = f"TCPROS at the master {r.backend._master.uri}"
+            monkeypatch.delenv("ROS_DISTRO", raising=False)
+            assert r.backend.middleware().where == where, "which distribution it is, nothing tells"
+            monkeypatch.setenv("ROS_DISTRO", "noetic")
+            assert r.backend.middleware().where == f"{where} on ROS 1 noetic"
 
     run(scenario())
 

@@ -16,7 +16,7 @@ from midstride.cli.output import PAGE_WIDTH, console
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.runtime.change.change_assessment import reported
 from midstride.runtime.records.reports import Outcome
-from midstride.runtime.records.status_forms import Status
+from midstride.runtime.records.status_forms import Middleware, Status
 from midstride.verdicts import assessment
 from tests.cli.statuses import component, crash, functionality, status
 
@@ -240,6 +240,27 @@ def test_a_file_below_the_current_folder_is_shown_as_it_is_typed_there(
     monkeypatch.chdir(tmp_path)
     assert as_typed_here(str(tmp_path / "robots" / "a.stride")) == "robots/a.stride"
     assert as_typed_here(str(tmp_path.parent / "a.stride")) == str(tmp_path.parent / "a.stride")
+
+
+@pytest.mark.parametrize(
+    ("middleware", "where"),
+    [
+        (Middleware(name="rmw_x", domain="7", distribution="jazzy"), "rmw_x in domain 7 on ROS 2 jazzy"),
+        (Middleware(name="rmw_x", domain="0"), "rmw_x in domain 0"),
+        (
+            Middleware(name="TCPROS", master="http://a:1", distribution="noetic"),
+            "TCPROS at the master http://a:1 on ROS 1 noetic",
+        ),
+        (Middleware(name="TCPROS", master="http://a:1"), "TCPROS at the master http://a:1"),
+        (
+            Middleware(name="none: messages stay in the manager's process"),
+            "none: messages stay in the manager's process",
+        ),
+    ],
+)
+def test_the_middleware_is_named_with_where_it_reaches(middleware: Middleware, where: str) -> None:
+    shown_status = msgspec.structs.replace(status(), middleware=middleware)
+    assert f"Middleware: {where}" in shown(render_status.platform(shown_status))
 
 
 def test_after_a_crash_the_remedy_is_named() -> None:

@@ -688,10 +688,11 @@ declare namespace Api {
     holds_recovery?: boolean;
   }
 
-  /** The middleware, and the variables of it that a back end sets for the processes it starts, and those it leaves. ``domain`` and ``distribution`` are empty where a back end has none, or does not know. ``problem``: what kept nodes from finding each other as the manager was started; empty where nothing did. */
+  /** The middleware, and the variables of it that a back end sets for the processes it starts, and those it leaves. ``domain`` (of ROS 2), ``master`` (of ROS 1) and ``distribution`` are empty where a back end has none, or does not know. ``problem``: what kept nodes from finding each other as the manager was started; empty where nothing did. */
   interface Middleware {
     name: string;
     domain: string;
+    master: string;
     distribution: string;
     problem: string;
     set: Record<string, string>;

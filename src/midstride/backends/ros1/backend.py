@@ -263,9 +263,11 @@ class Ros1Backend(processes.ProcessBackend, Backend):
     def middleware(self) -> Middleware:
         variables = (launching.MASTER_URI, "ROS_HOSTNAME", "ROS_IP")
         kept = {name: value for name in variables if (value := os.environ.get(name))}
-        given = launching.environment(os.environ, launching.master_uri(os.environ))
+        master = launching.master_uri(os.environ)
+        given = launching.environment(os.environ, master)
         added = {name: given[name] for name in variables if name in given and name not in kept}
-        return Middleware(name="TCPROS", set=added, kept=kept)
+        distribution = os.environ.get("ROS_DISTRO", "")  # set where one is sourced, and nowhere else
+        return Middleware(name="TCPROS", master=master, distribution=distribution, set=added, kept=kept)
 
     def reach(self) -> dict[str, str]:
         return {"ROS_MASTER_URI": launching.master_uri(os.environ)}

@@ -314,12 +314,13 @@ class RequirementStatus(Report, frozen=True, kw_only=True):
 class Middleware(Report, frozen=True, kw_only=True):
     """The middleware, and the variables of it that a back end sets for the processes it starts, and those it leaves.
 
-    ``domain`` and ``distribution`` are empty where a back end has none, or does not know. ``problem``: what kept nodes
-    from finding each other as the manager was started; empty where nothing did.
+    ``domain`` (of ROS 2), ``master`` (of ROS 1) and ``distribution`` are empty where a back end has none, or does not
+    know. ``problem``: what kept nodes from finding each other as the manager was started; empty where nothing did.
     """
 
     name: str
     domain: str = ""
+    master: str = ""
     distribution: str = ""
     problem: str = ""
     set: dict[str, str] = {}
@@ -328,10 +329,11 @@ class Middleware(Report, frozen=True, kw_only=True):
 
     @property
     def where(self) -> str:
-        """The middleware, the domain and the distribution, in words; empty where there is neither of the latter."""
+        """The middleware, its domain or master, and the distribution, in words; empty where only the name is known."""
         domain = f" in domain {self.domain}" if self.domain else ""
-        distribution = f" on ROS 2 {self.distribution}" if self.distribution else ""
-        return f"{self.name}{domain}{distribution}" if domain or distribution else ""
+        master = f" at the master {self.master}" if self.master else ""
+        distribution = f" on ROS {1 if self.master else 2} {self.distribution}" if self.distribution else ""
+        return f"{self.name}{domain}{master}{distribution}" if domain or master or distribution else ""
 
 
 class Status(Report, frozen=True, kw_only=True):
