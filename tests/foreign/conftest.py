@@ -38,6 +38,12 @@ def of_lyrical(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return compiled(tmp_path_factory.mktemp("lyrical"), distribution="LYRICAL")
 
 
+@pytest.fixture(scope="session")
+def on_cyclone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Likewise, requests as Cyclone DDS has them."""
+    return compiled(tmp_path_factory.mktemp("cyclone"), distribution="CYCLONE")
+
+
 def compiled(folder: Path, *linked: str, distribution: str = "JAZZY") -> Path:
     command = build.compiler()
     assert command is not None

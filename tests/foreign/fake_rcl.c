@@ -361,6 +361,13 @@ int rcl_count_clients(const void *node, const char *service, size_t *count)
 }
 #endif
 
+#ifdef CYCLONE
+const char *rmw_get_implementation_identifier(void)
+{
+  return "rmw_cyclonedds_cpp";
+}
+#endif
+
 static int take_request(const void *service, struct request_info *info, void *request)
 {
   static int64_t number, ago = -1;
@@ -373,6 +380,10 @@ static int take_request(const void *service, struct request_info *info, void *re
   memset(info, 0, sizeof *info);
   info->received = ago ? now.tv_sec * 1000000000ll + now.tv_nsec - ago * 1000000 : 0;
   memcpy(info->id.client, "a client of it", 15);
+#ifdef CYCLONE /* half of the client is a number that it has in this process alone */
+  uint64_t here = (uint64_t)getpid();
+  memcpy(info->id.client + 8, &here, sizeof here);
+#endif
   info->id.number = ++number;
   return 0;
 }

@@ -1,10 +1,11 @@
-"""What the library finds otherwise on Humble and on Lyrical: processes linked with libraries that are as there.
+"""What the library finds otherwise on Humble, on Lyrical, on Cyclone DDS: processes linked with libraries as there.
 
-The names and forms are those of the sources of the two (docs/reference/distributions.md); neither has been run.
+The names and forms are those of the sources (docs/reference/distributions.md); neither distribution has been run.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import subprocess
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from midstride.foreign.gates import Gates
 from midstride.foreign.page_layout import Within
 from midstride.model.component import ComponentSpec
 from tests.foreign.lab import MS, Lab, until, variables
+from tests.foreign.test_response_watch import Server
 
 REQUESTS = 20_000
 TALKER = ComponentSpec.of("Talker", outputs=("out",), run="talker", gate="preload")
@@ -50,6 +52,39 @@ def test_servers_of_humble_share_requests_and_know_their_clients(humble: Lab) ->
     both = [subprocess.Popen([*command, str(REQUESTS)], env=each, stdout=subprocess.DEVNULL) for each in given]
     assert [process.wait(60) for process in both] == [0, 0]
     assert sum(int(page.servers(index)["/count"].passed) for index in indices) == REQUESTS
+
+
+def test_requests_are_shared_although_each_server_names_the_client_otherwise(
+    tmp_path: Path, on_cyclone: Path, gate_library: Path
+) -> None:
+    lab = Lab(tmp_path, on_cyclone, gate_library)
+    page = lab.page
+    old, new = (page.allocate(name) for name in ("old", "new"))
+    page.have_requests(old)
+    page.have_requests(new, old)
+    with contextlib.ExitStack() as processes:
+
+        def started(index: int) -> Server:
+            given = variables(page.path, lab.programs, lab.library, lab.log, index)
+            command, pipe = [str(lab.programs / "server"), "/count"], subprocess.PIPE
+            process = subprocess.Popen(command, env=given, stdin=pipe, stdout=pipe, text=True)
+            processes.callback(process.communicate)
+            processes.callback(process.kill)
+            made = Server(process, lambda: page.servers(index)["/count"])
+            made.done()
+            return made
+
+        first, second = started(old), started(new)
+        for _ in range(3):
+            second.does("take")  # held, as the old one answers
+            first.does("take")
+        for number in (1, 2, 3):
+            first.does(f"answer {number}")
+        page.give_requests(new, 0.0)
+        second.does("take")  # the fourth: it has dropped those that the old one has answered
+        second.does("answer 4")
+        assert (int(first.port.passed), int(second.port.passed), int(second.port.answered)) == (3, 1, 1)
+    lab.close()
 
 
 def test_an_output_of_lyrical_is_kept_out_of_intra_process_communication(
