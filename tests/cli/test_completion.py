@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
 import shlex
 import shutil
 import socket
@@ -206,6 +209,40 @@ def test_bash_itself(talker: Midstride, tmp_path: Path) -> None:
     assert candidates.split() == ["Listener", "NewTalker", "Talker"]
     assert registered == "complete -o nosort -F _midstride_completion midstride"
     assert done.stderr == ""
+
+
+@pytest.mark.full
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="Zsh is not installed")
+def test_zsh_itself(talker: Midstride, tmp_path: Path) -> None:
+    """A line that is typed at a terminal, up to the key Tab."""
+    program = tmp_path / "midstride"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m midstride "$@"\n', encoding="utf-8")
+    program.chmod(0o755)
+    setup = 'autoload -Uz compinit; compinit -D; eval "$(_MIDSTRIDE_COMPLETE=zsh_source midstride)"; PS1=ready:'
+    environment = {**talker.environment, "PATH": f"{tmp_path}:{talker.environment['PATH']}", "TERM": "dumb"}
+    terminal, other = pty.openpty()
+    shell = subprocess.Popen(["zsh", "-f", "-i"], stdin=other, stdout=other, stderr=other, env=environment)
+    os.close(other)
+    seen = b""
+
+    def read_until(words: bytes) -> None:
+        nonlocal seen
+        while words not in seen:
+            assert select.select([terminal], [], [], 20)[0], seen.decode(errors="replace")
+            seen += os.read(terminal, 4096)
+        seen = seen.partition(words)[2]
+
+    try:
+        os.write(terminal, setup.encode() + b"\n")
+        read_until(b"ready:\x1b[?2004h")  # which it says once it is ready for a line
+        os.write(terminal, b"midstride why tal\t")
+        read_until(b"talker.talk ")
+        os.write(terminal, b"\x15midstride replace --sys\t")
+        read_until(b"--system")
+    finally:
+        shell.kill()
+        shell.wait()
+        os.close(terminal)
 
 
 def test_completion_does_not_wait_for_a_silent_manager(complete: Complete, monkeypatch: pytest.MonkeyPatch) -> None:

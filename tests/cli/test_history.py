@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from midstride.runtime.records.disk import DISK
 from midstride.runtime.records.journal_records import SCHEMA
 from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import EXAMPLES, Midstride
+from tests.test_ament_index import planted
 
 TALKER = str(EXAMPLES / "talker" / "talker.stride")
 
@@ -151,3 +153,16 @@ def test_a_change_that_no_manager_goes_on_with_was_interrupted(midstride: Midstr
     refused = midstride("history")
     assert refused.status == 1
     assert f"cannot read the journal {space.journal}: file is not a database" in refused.err
+
+
+@pytest.mark.full
+def test_a_specification_of_a_package_is_named_by_it(
+    midstride: Midstride, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prefix = planted(tmp_path, "robot")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", prefix)
+    midstride.environment["AMENT_PREFIX_PATH"] = prefix
+    shutil.copytree(EXAMPLES / "talker", tmp_path / "share" / "robot", dirs_exist_ok=True)
+    assert midstride("up", "robot", "talker.stride", "--backend", "sim", "--detach").status == 0
+    words = [each["words"] for each in midstride("history", "--json").json["incidents"] if each["kind"] == "up"]
+    assert words == ["talker is up from package://robot/talker.stride: 2 components"]

@@ -85,14 +85,16 @@ class Manager:
         file: Path | None = None,
         disk: Disk = DISK,
         lock: ChangeLock | None = None,
+        package_file: str | None = None,
     ) -> None:
         """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started.
 
-        ``lock``: that of an earlier manager of which no component is left.
+        ``package_file``: `package://PACKAGE/FILE`, where it is one of a package. ``lock``: that of an earlier manager
+        of which no component is left.
         """
         named = None if file is None else str(file)
         self._backend, self._workspace, self._options, self._spares = backend, workspace, options, options.spares
-        self._lock_before = lock
+        self._lock_before, self._package_file = lock, package_file
         # What the parts have in common: records, commands, and the way to components.
         clock, self.events = backend.clock, (events := EventLog())
         self._journal = journal = Journal(workspace.journal, backend.name, disk)
@@ -199,7 +201,8 @@ class Manager:
             degraded = f"; degraded: {degradations_in_words(remaining)}" if remaining else ""
             without = f" without {', '.join(missing)}" if missing else ""
             by = f" with {middleware.where}" if middleware.where else ""
-            self.events.add("up", f"{self.specification.name} is up{without}{by}: {many}{degraded}")
+            source = f" from {self._package_file}" if self._package_file and saved is None else ""
+            self.events.add("up", f"{self.specification.name} is up{without}{source}{by}: {many}{degraded}")
             outcome: Literal["done", "incomplete"] = "incomplete" if missing else "done"
             half_done = [event.words for event in self.events.since() if event.kind == HALF_DONE]
             return UpReport(outcome, sorted(self.configuration.instances), remaining, missing, half_done)

@@ -14,6 +14,7 @@ from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
 from midstride.cli.input_files import load
 from midstride.cli.specification_argument import absolute
 from midstride.model.component import DEFAULT_STOP
+from midstride.package_files import name_of
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
@@ -83,7 +84,17 @@ def manager_command(
             platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
             specification = requested if saved is None else saved.specification
             path = absolute(file)
-            manager = Manager(specification, platform, workspace, path.parent, options=options, file=path, lock=lock)
+            of_package = name_of(str(path), os.environ)
+            manager = Manager(
+                specification,
+                platform,
+                workspace,
+                path.parent,
+                options=options,
+                file=path,
+                lock=lock,
+                package_file=of_package,
+            )
             return await serve(manager, workspace, backend=backend, tcp=tcp, metrics_file=metrics_file)
         finally:
             shortening.cancel()
