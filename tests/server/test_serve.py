@@ -130,7 +130,7 @@ def test_leaving_ends_the_manager_and_not_the_system(workspace: Workspace) -> No
                 assert (await anext(stream))[1]["kind"] == "up"
                 os.kill(os.getpid(), signal.SIGTERM)
                 assert await anext(stream, None) is None
-            assert await asyncio.wait_for(server, 20) == 0
+            assert await asyncio.wait_for(server, 20) == 128 + signal.SIGTERM
         assert [operation for operation, _ in manager.asked] == ["up", "close"]
 
     run(test)
@@ -162,7 +162,7 @@ async def told_to_end_in_a_change(manager: Changing, workspace: Workspace) -> ht
             await asyncio.sleep(0.01)
         os.kill(os.getpid(), signal.SIGTERM)
         response = await changing
-        assert await asyncio.wait_for(server, 20) == 0
+        assert await asyncio.wait_for(server, 20) == 128 + signal.SIGTERM
         return response
 
 
@@ -218,7 +218,7 @@ def test_a_change_that_arrives_after_the_manager_was_told_to_end_is_refused(work
             refused = await changing
             assert refused.status_code == 409
             assert "begins nothing more" in refused.json()["error"]["message"]
-            assert await asyncio.wait_for(server, 20) == 0
+            assert await asyncio.wait_for(server, 20) == 128 + signal.SIGTERM
         assert [operation for operation, _ in manager.asked] == ["up", "close"]
 
     run(test)

@@ -57,6 +57,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
     },
     "Tools": {
         "demo": ("demo", "run an example from start to finish"),
+        "systemd": ("systemd", "print a unit with which systemd keeps a system up"),
         "lsp": ("lsp_command", "run the language server for editors"),
     },
 }

@@ -1,3 +1,3 @@
 """The manager's operations over HTTP: the only way in, for the command line and for every other client."""
 
-PUBLIC = "LOOPBACK Tcp listen new_token run_gateway serve"
+PUBLIC = "LOOPBACK ServiceNotice Tcp listen new_token run_gateway serve"

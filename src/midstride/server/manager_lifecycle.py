@@ -38,10 +38,10 @@ class Lifecycle:
     """Owns the tasks that outlive the request that began them. Used on the manager's loop alone.
 
     ``on_phase`` is called when ``phase`` has changed. ``up_ended`` is set once it is known whether the system came up,
-    ``ended`` once the manager shall exit.
+    ``ended`` once the manager shall exit. ``alone``: no client waits to read why the system did not come up.
     """
 
-    def __init__(self, manager: Manager) -> None:
+    def __init__(self, manager: Manager, *, alone: bool = False) -> None:
         self.manager = manager
         self.phase: Phase = "starting"
         self.on_phase: Callable[[], object] = lambda: None
@@ -49,6 +49,8 @@ class Lifecycle:
         self.ended = asyncio.Event()
         self.failure: MidstrideError | None = None
         self._failure_read = asyncio.Event()
+        if alone:
+            self._failure_read.set()
         self._bringing_up: asyncio.Task[None] | None = None
         self._taking_down: asyncio.Event | None = None  # set once it has ended
         self._report: UpReport | None = None
@@ -106,6 +108,11 @@ class Lifecycle:
             if self.ended.is_set():  # the server closed before the work was complete
                 raise ManagerError(_ROLLING_BACK if breakable else _STILL_ENDING) from None
             raise
+
+    @property
+    def ends(self) -> bool:
+        """Return whether `down` stops the system, or has stopped it."""
+        return self._taking_down is not None
 
     @property
     def _why_interrupted(self) -> str:

@@ -21,11 +21,14 @@ from midstride.server.connections import BACKLOG, Server, connection_limit, list
 from midstride.server.http_app import create_app
 from midstride.server.manager_lifecycle import Lifecycle
 from midstride.server.metrics.metrics_source import MetricsFile
+from midstride.server.service_notice import ServiceNotice
 from midstride.server.view.live import LiveView
 
 log = logging.getLogger(__name__)
 
 LOOPBACK: Final = "127.0.0.1"
+# Added to the number of a signal, as a shell does.
+_KILLED: Final = 128
 # How many connections each kind may have, and which share of the descriptors. The rest is the control plane's.
 _UNIX_LIMIT: Final = (256, 1 / 4)
 _TCP_LIMIT: Final = (64, 1 / 8)
@@ -40,16 +43,24 @@ class Tcp:
 
 
 async def serve(
-    manager: Manager, workspace: Workspace, *, backend: str, tcp: Tcp | None = None, metrics_file: Path | None = None
+    manager: Manager,
+    workspace: Workspace,
+    *,
+    backend: str,
+    tcp: Tcp | None = None,
+    metrics_file: Path | None = None,
+    notice: ServiceNotice | None = None,
+    alone: bool = False,
 ) -> int:
     """Bring the system up and serve it until it is down, or until SIGTERM or SIGINT; components then keep running.
 
-    A change in progress at such a signal is rolled back first. The caller holds the workspace's lock. Returns the exit
-    status: 1 if the system could not be brought up, or a server fails. Raises ManagerError if a socket cannot be
-    opened; nothing has been started then. So it is if ``metrics_file``, which is kept up to date meanwhile, cannot be
-    written.
+    A change in progress at such a signal is rolled back first. The caller holds the workspace's lock. ``notice``: to
+    whom the state of the manager is told. ``alone``: no client waits to read why the system did not come up. Returns
+    the exit status: 1 if the system could not be brought up, or a server fails; 128 and the number of the signal that
+    has ended the manager while its system was up. Raises ManagerError if a socket cannot be opened; nothing has been
+    started then. So it is if ``metrics_file``, which is kept up to date meanwhile, cannot be written.
     """
-    lifecycle = Lifecycle(manager)
+    lifecycle = Lifecycle(manager, alone=alone)
     metrics = None if metrics_file is None else MetricsFile.require(metrics_file)
     live = LiveView(lifecycle)
     app = create_app(live)
@@ -61,10 +72,12 @@ async def serve(
             stack.callback(workspace.write_private("token", token).unlink, missing_ok=True)
             protected = TokenAuth(app, token, host=tcp.host, port=tcp.port)
             servers.append(Server(protected, listening, connection_limit(*_TCP_LIMIT)))
-        with _on_signals(lifecycle.ended.set):
+        with _on_signals(lifecycle.ended.set) as signals:
             live.start()
             serving = [asyncio.ensure_future(server.serve()) for server in servers]
             lifecycle.bring_up()
+            if notice is not None:
+                await stack.enter_async_context(notice.kept(lifecycle))
             if metrics is not None:
                 await stack.enter_async_context(metrics.kept(lifecycle))
             over = asyncio.ensure_future(lifecycle.until_over())
@@ -81,7 +94,9 @@ async def serve(
     failures = [end for end in ends if isinstance(end, Exception)]
     for failure in failures:
         log.error("a server of the manager has failed, so it exits", exc_info=failure)
-    return 1 if failures or lifecycle.phase == "failed" else 0
+    if failures or lifecycle.phase == "failed":
+        return 1
+    return _KILLED + signals[0] if signals and lifecycle.phase != "down" else 0
 
 
 @contextlib.contextmanager
@@ -118,12 +133,18 @@ def _tcp(tcp: Tcp) -> Iterator[socket.socket]:
 
 
 @contextlib.contextmanager
-def _on_signals(leave: Callable[[], None]) -> Iterator[None]:
-    loop = asyncio.get_running_loop()
+def _on_signals(leave: Callable[[], None]) -> Iterator[list[int]]:
+    """Call ``leave`` at SIGTERM and SIGINT; the value has the numbers of those that came."""
+    loop, came = asyncio.get_running_loop(), list[int]()
+
+    def end(number: int) -> None:
+        came.append(number)
+        leave()
+
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, leave)
+        loop.add_signal_handler(number, end, number)
     try:
-        yield
+        yield came
     finally:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.remove_signal_handler(number)

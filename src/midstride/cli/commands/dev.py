@@ -13,12 +13,13 @@ from rich.text import Text
 from midstride.cli.change_options import with_other_nodes_option
 from midstride.cli.changed_programs import other_overlay
 from midstride.cli.client import Client
-from midstride.cli.commands.up import backend_option, bring_up, manager_arguments, missing_lines, platform_options
+from midstride.cli.commands.up import bring_up, missing_lines
 from midstride.cli.dev.contents import saves
 from midstride.cli.dev.requested_changes import Changes, worst
 from midstride.cli.dev.session import DevSession
 from midstride.cli.dev.watched_specification import WatchedSpecification
 from midstride.cli.input_files import require_file
+from midstride.cli.manager_options import backend_option, manager_arguments, platform_options
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.render import UNKNOWN, seconds, time_of_day
 from midstride.cli.shutdown import shut_down

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import faulthandler
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +15,10 @@ from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
 from midstride.cli.input_files import load
 from midstride.cli.specification_argument import absolute
+from midstride.codec.specification_form import encode_specification
+from midstride.errors import ManagerBusy, SpecificationError
 from midstride.model.component import DEFAULT_STOP
+from midstride.model.specification import Specification
 from midstride.package_files import name_of
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.manager import Manager
@@ -21,15 +26,19 @@ from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.child_process import end_orphans, shorten
 from midstride.runtime.process.descriptors import raise_limit
 from midstride.runtime.process.reaper import process_info
+from midstride.runtime.records.reports import Event
 from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.records.status_forms import ChangeLock
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import LOOPBACK, Tcp, serve
+from midstride.server.service_notice import ServiceNotice
 from midstride.wire.environment import ENV_DIAGNOSTICS
 from midstride.wire.sockets import SocketFolder
 
 # How often the manager's log is checked (s).
 CHECK_LOG: Final = 1.0
+# The exit status where another attempt is of no use: EX_CONFIG of sysexits.h.
+OF_NO_USE: Final = 78
 
 
 @click.command("_manager", hidden=True)
@@ -45,6 +54,8 @@ CHECK_LOG: Final = 1.0
 @click.option("--keep-degraded", is_flag=True)
 @click.option("--strict", is_flag=True)
 @click.option("--metrics-file", type=click.Path(path_type=Path))
+@click.option("--foreground", is_flag=True)
+@click.option("--take-over")
 def manager_command(
     file: Path,
     backend: str,
@@ -58,10 +69,21 @@ def manager_command(
     keep_degraded: bool,
     strict: bool,
     metrics_file: Path | None,
+    foreground: bool,
+    take_over: str | None,
 ) -> int:
-    """Manage the system of FILE until it is down or SIGTERM arrives."""
-    requested = load(file)
-    workspace = Workspace.of(requested.name)
+    """Manage the system of FILE until it is down or SIGTERM arrives.
+
+    With `--foreground`, events are printed, systemd is told, and the exit status is 78 where another attempt would be
+    of no use: FILE has to be changed first, or another manager of the system runs. What runs of `--take-over` is taken
+    over whatever FILE says.
+    """
+    notice = ServiceNotice.taken_from(os.environ)
+    if not foreground:
+        notice = None  # what watches this process has started another one
+    elif notice is not None and notice.watchdog is not None:
+        faulthandler.enable()  # at SIGABRT, by which systemd ends a manager that hangs, it says where that was
+    requested = _read(file, take_over)
     tcp = None if http is None else Tcp(http, http_host or LOOPBACK)
 
     async def run() -> int:
@@ -82,7 +104,7 @@ def manager_command(
             if not options.diagnostics:
                 os.environ[ENV_DIAGNOSTICS] = "0"  # components have the manager's environment
             platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
-            specification = requested if saved is None else saved.specification
+            specification = _taken_over(saved, requested, file)
             path = absolute(file)
             of_package = name_of(str(path), os.environ)
             manager = Manager(
@@ -95,13 +117,63 @@ def manager_command(
                 lock=lock,
                 package_file=of_package,
             )
-            return await serve(manager, workspace, backend=backend, tcp=tcp, metrics_file=metrics_file)
+            if foreground:
+                manager.events.listeners.append(_print)
+            return await serve(
+                manager, workspace, backend=backend, tcp=tcp, metrics_file=metrics_file, notice=notice, alone=foreground
+            )
         finally:
             shortening.cancel()
 
     raise_limit()
-    with workspace.lock():
-        return backends.run(backend, run())
+    try:
+        if take_over is None:
+            if isinstance(requested, SpecificationError):
+                raise requested
+            take_over = requested.name
+        workspace = Workspace.of(take_over)
+        with workspace.lock():
+            return backends.run(backend, run())
+    except (SpecificationError, ManagerBusy) as error:
+        if not foreground:
+            raise
+        click.echo(f"midstride: {error}", err=True)
+        return OF_NO_USE
+
+
+def _read(file: Path, system: str | None) -> Specification | SpecificationError:
+    """The specification in ``file``, or why it cannot be used for ``system``."""
+    try:
+        requested = load(file)
+    except SpecificationError as error:
+        return error
+    if system is not None and requested.name != system:
+        return SpecificationError(f"{file}: its system is {requested.name}, and not {system}; write the unit anew")
+    return requested
+
+
+def _taken_over(saved: SavedState | None, requested: Specification | SpecificationError, file: Path) -> Specification:
+    """The specification of what runs already, else the requested one. Raises SpecificationError where neither is there.
+
+    A file that somebody is editing must not keep a system from its next manager.
+    """
+    if saved is None:
+        if isinstance(requested, SpecificationError):
+            raise requested
+        return requested
+    if isinstance(requested, SpecificationError):
+        click.echo(f"midstride: {requested}\nThe system is taken over as it runs, without {file}.", err=True)
+    elif encode_specification(saved.specification) != encode_specification(requested):
+        click.echo(
+            f"What runs differs from {file}, and is taken over as it is: `midstride apply` changes it.", err=True
+        )
+    return saved.specification
+
+
+def _print(event: Event) -> None:
+    """An event on the lines of a log, which has times already."""
+    with suppress(OSError):  # who reads has gone: nothing may end for that
+        print(event.words, flush=True)
 
 
 async def _shorten_log(log: Path) -> None:

@@ -7,20 +7,21 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
+from typing import Final, NoReturn
 
 import click
 from msgspec import structs
 
-from midstride.backends import NAMES
 from midstride.cli.client import Client
 from midstride.cli.first_rates import await_rates
 from midstride.cli.follow import FollowedRequest, explained_when_interrupted
 from midstride.cli.input_files import load
 from midstride.cli.live_view import watch
+from midstride.cli.manager_options import ManagerOptions, manager_options
 from midstride.cli.output import console, json_option, print_json, show, wants_json
 from midstride.cli.progress import Progress
 from midstride.cli.render import degraded_line
@@ -39,96 +40,18 @@ from midstride.verdicts.conditions import EXIT_STATUS, not_yet_judged
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
 START_TIMEOUT = 30.0
 POLL = 0.02
-MOST_SPARES = 20
-
-
-def backend_option(help: str) -> Callable[[Callable[..., int]], Callable[..., int]]:
-    return click.option(
-        "--backend",
-        type=click.Choice(NAMES),
-        default="ros2",
-        show_default=True,
-        envvar="MIDSTRIDE_BACKEND",
-        show_envvar=True,
-        help=help,
-    )
-
-
-def platform_options(spares: int) -> Callable[[Callable[..., int]], Callable[..., int]]:
-    """The options that hold for every process of the system: the last arguments of :func:`manager_arguments`.
-
-    ``spares`` is how many spare processes there are by default.
-    """
-    sim_time = click.option(
-        "--use-sim-time",
-        is_flag=True,
-        help="Have /clock drive every node that does not set use_sim_time itself, also those added later (ROS 2).",
-    )
-    no_settings = click.option(
-        "--no-middleware-settings",
-        is_flag=True,
-        help="Leave transports and discovery of the middleware as they are; see docs/how-to/middleware-settings.md.",
-    )
-    no_diagnostics = click.option(
-        "--no-diagnostics", is_flag=True, help="Do not publish on /diagnostics; see docs/how-to/diagnostics.md."
-    )
-    kept = click.option(
-        "--spares",
-        type=click.IntRange(0, MOST_SPARES),
-        default=spares,
-        show_default=True,
-        metavar="N",
-        help="Keep N processes ready that have loaded ROS, so that components start sooner; see docs/how-to/spares.md.",
-    )
-    return lambda function: sim_time(no_settings(no_diagnostics(kept(function))))
-
-
-def manager_arguments(
-    file: Path, backend: str, use_sim_time: bool, no_middleware_settings: bool, no_diagnostics: bool, spares: int
-) -> list[str]:
-    """The arguments of a manager for the system of ``file``. Raises UsageError for what the back end does not have."""
-    if use_sim_time and backend != "ros2":
-        raise click.UsageError(
-            "--use-sim-time is for ROS 2; on ROS 1, `rosparam set use_sim_time true` before `up` does it for every node"
-        )
-    options = ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
-    options += [*["--no-diagnostics"] * no_diagnostics, "--spares", str(spares)]
-    return [str(absolute(file)), "--backend", backend, *options]
+_MANAGER: Final = (sys.executable, "-m", "midstride", "_manager")
+_UNBUFFERED: Final = {"PYTHONUNBUFFERED": "1"}
+_BECAUSE: Final = {
+    "--stop-on-exit": "one returns at once, the other stays",
+    "--foreground": "it is the manager, which leaves its components running when it ends",
+}
 
 
 @click.command("up")
 @specification_argument()
-@backend_option("The platform.")
+@manager_options
 @click.option("--detach", "-d", is_flag=True, help="Return once the system is up; show no view.")
-@click.option(
-    "--http",
-    type=click.IntRange(1, 65535),
-    metavar="PORT",
-    help="Serve the HTTP API on a TCP port of the loopback address as well; see docs/http.md.",
-)
-@click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead.")
-@click.option(
-    "--metrics-file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="PATH",
-    help="Keep metrics in this file for node_exporter's textfile collector; see docs/how-to/monitoring.md.",
-)
-@platform_options(spares=0)
-@click.option(
-    "--finish-interrupted",
-    is_flag=True,
-    help="Finish a change that was interrupted because the manager was killed, instead of rolling it back.",
-)
-@click.option(
-    "--keep-degraded",
-    is_flag=True,
-    help="Do not restore what has degraded because an input failed: a command does.",
-)
-@click.option(
-    "--strict",
-    is_flag=True,
-    help="Start all nodes or none: if one of them cannot be started, stop the others.",
-)
 @click.option(
     "--dry-run",
     is_flag=True,
@@ -139,23 +62,25 @@ def manager_arguments(
     is_flag=True,
     help="Show no view, and stop the system when this command ends: for launch files and supervisors.",
 )
+@click.option(
+    "--foreground",
+    is_flag=True,
+    help="Be the manager, without a view: for systemd; see docs/how-to/systemd.md.",
+)
+@click.option(
+    "--take-over",
+    metavar="SYSTEM",
+    help="With --foreground: take over what runs of this system, whatever has become of FILE.",
+)
 @json_option
 def up_command(
     file: Path,
-    backend: str,
+    options: ManagerOptions,
     detach: bool,
-    http: int | None,
-    http_host: str | None,
-    metrics_file: Path | None,
-    use_sim_time: bool,
-    no_middleware_settings: bool,
-    no_diagnostics: bool,
-    finish_interrupted: bool,
-    keep_degraded: bool,
-    strict: bool,
     dry_run: bool,
     stop_on_exit: bool,
-    spares: int,
+    foreground: bool,
+    take_over: str | None,
 ) -> int:
     """Start the system of FILE and its manager, and watch them. Exit status 3 if not all is up, 1 if nothing is.
 
@@ -164,15 +89,22 @@ def up_command(
     Ctrl-C leaves the view; components and manager keep running. If the manager is killed, the next `up` reattaches to
     its components. `midstride down` stops everything.
     """
-    if detach and stop_on_exit:
-        raise click.UsageError("--detach returns at once, so it excludes --stop-on-exit")
-    if http_host is not None and http is None:
-        raise click.UsageError("--http-host needs --http PORT")
-    arguments = manager_arguments(file, backend, use_sim_time, no_middleware_settings, no_diagnostics, spares)
+    alone = {"--detach": detach, "--stop-on-exit": stop_on_exit, "--foreground": foreground}
+    if len(given := [name for name, is_given in alone.items() if is_given]) > 1:
+        raise click.UsageError(f"{given[0]} and {given[1]} exclude each other: {_BECAUSE[given[1]]}")
+    if take_over is not None and not foreground:
+        raise click.UsageError("--take-over is for --foreground; without it, the name in FILE is the system's")
+    arguments = options.arguments(file)
+    if foreground and not dry_run:
+        if wants_json():
+            raise click.UsageError("--foreground prints events, and no document; `midstride log --follow --json` does")
+        _become_manager([*arguments, *(["--take-over", take_over] if take_over else [])])
     specification = load(file)
     if dry_run:
-        options = SystemOptions(use_sim_time, not no_middleware_settings, spares, not no_diagnostics)
-        return _dry_run(specification, backend, absolute(file).parent, options)
+        started = SystemOptions(
+            options.use_sim_time, not options.no_middleware_settings, options.spares, not options.no_diagnostics
+        )
+        return _dry_run(specification, options.backend, absolute(file).parent, started)
     workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
     if (running := client.service()) is not None:
@@ -181,15 +113,9 @@ def up_command(
             "`midstride status` shows it, `midstride apply` changes it, `midstride down` stops it"
         )
     workspace.require_room()
-    if http is not None:
-        arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
-    arguments += ["--finish-interrupted"] * finish_interrupted + ["--keep-degraded"] * keep_degraded
-    arguments += ["--strict"] * strict
-    if metrics_file is not None:
-        arguments += ["--metrics-file", str(metrics_file.absolute())]
     with ended_by_signals() if stop_on_exit else nullcontext() as request:
         answer = bring_up(client, workspace, arguments)
-        shown = partial(_show_how_it_came_up, client, workspace, specification, file, answer, http, http_host)
+        shown = partial(_show_how_it_came_up, client, workspace, specification, file, answer, options)
         if request is not None:
             return stay(client, workspace.name, shown, request)
     name = workspace.name
@@ -217,8 +143,7 @@ def _show_how_it_came_up(
     specification: Specification,
     file: Path,
     answer: UpReport,
-    http: int | None,
-    http_host: str | None,
+    options: ManagerOptions,
 ) -> int:
     """Print how bringing the system up went; returns the exit status: 3 if not all is up, 1 if nothing is."""
     if encode_specification(client.specification()) != encode_specification(specification):
@@ -247,8 +172,10 @@ def _show_how_it_came_up(
         click.echo(f"{words[0].upper()}{words[1:]}.")
     if pending:
         click.echo(f"{not_yet_judged(pending)}; `midstride status` shows it.")
-    if http is not None:
-        click.echo(f"API: http://{http_host or '127.0.0.1'}:{http}/api/v1, token in {workspace.path / 'token'}")
+    if options.http is not None:
+        click.echo(
+            f"API: http://{options.http_host or '127.0.0.1'}:{options.http}/api/v1, token in {workspace.path / 'token'}"
+        )
     return status
 
 
@@ -287,17 +214,24 @@ def _interrupt_deferred() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
+def _become_manager(arguments: list[str]) -> NoReturn:
+    """Go on as the manager, in this process: what has started it watches the manager, and reads what it prints."""
+    sys.stdout.flush()
+    command = [*_MANAGER, "--foreground", *arguments]
+    os.execve(command[0], command, {**os.environ, **_UNBUFFERED})
+
+
 def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
     """Start the manager in a new session, which does not end with this terminal."""
     with log.open("ab") as output:  # for appending, so that the manager can cut it
         output.truncate(0)
         return subprocess.Popen(
-            [sys.executable, "-m", "midstride", "_manager", *arguments],
+            [*_MANAGER, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
             start_new_session=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            env={**os.environ, **_UNBUFFERED},
         )
 
 
