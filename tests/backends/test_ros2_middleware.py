@@ -176,6 +176,25 @@ def hashed(listed: ListedGraph) -> dict[bytes, int]:
 
 
 @pytest.mark.ros2
+def test_where_processes_are_unknown_an_unmodified_node_of_the_system_is_no_foreign_one() -> None:
+    """They are counted: with one more of that name, one is foreign, whichever that is."""
+    from midstride.backends.ros2.manager.graph import Graph
+
+    listed = ListedGraph(Random(0))
+    listed.infos = {place: [] for place in listed.infos}
+    own = names.InstanceNode("/talker_1", "/talker", "0123abcd")
+    graph = Graph(listed, ZENOH, lambda: [(b"", own), (b"", names.InstanceNode("", "/left", "0123abcd"))])
+    for nodes, expected in (
+        (["talker"], {own}),
+        (["talker", "talker"], {own, None}),
+        (["left"], set()),
+        (["left", "left"], {None}),
+    ):
+        listed.nodes = [(node, "/") for node in nodes]
+        assert graph.of_name(f"/{nodes[0]}") == expected
+
+
+@pytest.mark.ros2
 def test_where_processes_are_unknown_no_endpoint_is_shown_as_an_instance_that_it_may_not_be_of() -> None:
     from midstride.backends.ros2.manager.graph import Graph
 

@@ -102,10 +102,12 @@ class Graph:
     def of_name(self, node: str) -> set[InstanceNode | None]:
         """The living instances whose node has that name; None among them is a foreign node."""
         listed = self._node_names().count(node)
-        if self.rmw.participant is None:  # counted: an instance has one node of that name, and a control node
+        if self.rmw.participant is None:  # counted: an instance has one node of that name, and a control node or a gate
             own = [(info, found) for info, found in self._controls() if found.node == node]
+            gated = {found for _, found in self._marked() if found.node == node}
             alive = {found for info, found in own if self._lives(info, found.instance)}
-            return {*alive, *([None] if listed > len({found for _, found in own}) else [])}
+            alive |= {found for found in gated if found.instance}
+            return {*alive, *([None] if listed > len({found for _, found in own} | gated) else [])}
         living: dict[bytes | str, InstanceNode | None] = {}
         for _, _, info in self._of_node(node):
             process = self._process(info)
