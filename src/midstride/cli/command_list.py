@@ -65,8 +65,20 @@ COMMANDS: Final = {name: entry for commands in GROUPS.values() for name, entry i
 HIDDEN: Final = {"_manager": "manage"}
 
 
+class WithoutCommand(click.UsageError):
+    """A group was called without a command; its help is the message. Click has such an error from 8.2 on."""
+
+    def __init__(self, ctx: click.Context) -> None:
+        super().__init__(ctx.get_help(), ctx)
+
+
 class Group(click.Group):
-    """A group that answers an unknown command with the one that was probably meant."""
+    """A group that answers an unknown command with the one that was probably meant, and none with its help."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args and self.no_args_is_help and not ctx.resilient_parsing:
+            raise WithoutCommand(ctx)
+        return super().parse_args(ctx, args)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import click
 
-from midstride.cli.command_list import COMMANDS, cli
+from midstride.cli.command_list import COMMANDS, WithoutCommand, cli
 from midstride.cli.output import NO, USAGE, print_json
 from midstride.errors import MidstrideError, SpecificationError
 
@@ -22,11 +22,8 @@ _NUMBERS: Final = {"integer": "whole number", "float": "number"}
 
 def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str], program: str = "midstride") -> int:
     """Report why the command ``words`` of ``program`` failed. The exit status: NO or USAGE."""
-    # Of click 8.2 and later; before, a command without arguments prints its help and ends.
-    without_arguments: Any = getattr(click.exceptions, "NoArgsIsHelpError", ())
-    if isinstance(error, without_arguments):
-        assert isinstance(error, click.UsageError)
-        print(error.format_message(), file=sys.stderr)
+    if isinstance(error, WithoutCommand):
+        print(error.message, file=sys.stderr)
         return USAGE
     if isinstance(error, click.UsageError):
         path = error.ctx.command_path if error.ctx is not None else program
