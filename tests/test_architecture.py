@@ -22,7 +22,7 @@ PACKAGE = "midstride"
 
 EVERY = frozenset(
     "model codec wire lang launch_files capture plan verify generate runtime backends node foreign server cli "
-    "simulation transitions verdicts".split()
+    "simulation transitions verdicts whole_file".split()
 )
 
 # What each package may import of Midstride, besides itself and `errors`. "" is Midstride's own __init__.
@@ -34,6 +34,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "ament_index": frozenset({"model"}),
     "package_files": frozenset({"model", "ament_index"}),
     "transitions": frozenset(),
+    "whole_file": frozenset(),
     "verdicts": frozenset({"model", "codec"}),
     "lang": frozenset({"model", "codec", "ament_index", "package_files"}),
     "launch_files": frozenset({"model", "lang", "ament_index", "package_files"}),
@@ -44,7 +45,7 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
     "verify": frozenset({"model", "codec", "plan"}),
     "runtime": frozenset({"model", "codec", "wire", "plan", "verify", "transitions", "verdicts"}),
     "backends": frozenset({"model", "codec", "wire", "node", "foreign", "runtime", "capture", "ament_index"}),
-    "foreign": frozenset({"model", "codec", "wire", "node"}),
+    "foreign": frozenset({"model", "codec", "wire", "node", "whole_file"}),
     "server": EVERY - {"node", "cli", "simulation", "launch_files", "capture"} | {""},
     "cli": EVERY | {"", "ament_index", "package_files"},
     "simulation": EVERY - {"server", "cli"},

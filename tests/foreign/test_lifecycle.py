@@ -24,6 +24,7 @@ from midstride.runtime.records.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.foreign import simulated
 from tests.foreign.chat import chat
+from tests.foreign.full_disk import FullDisk
 from tests.foreign.simulated import SimulatedNode, SimulatedRos
 from tests.runtime.systems import saved
 
@@ -312,21 +313,20 @@ def test_one_that_leaves_its_state_by_itself_is_degraded(tmp_path: Path) -> None
     managed(tmp_path, body)
 
 
-def test_what_the_disk_refuses_is_written_later(tmp_path: Path) -> None:
+def test_what_the_disk_refuses_is_written_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def body(manager: Manager, simulator: SimulatedRos) -> None:
-        full = tmp_path / "gates" / "talker.new"
-        full.mkdir()
+        disk = FullDisk(monkeypatch)
         simulator.nodes["talker"].state = "inactive"
         while simulator.active():
             await asyncio.sleep(0.1)
         status = await manager.status()
-        assert status.unwritten == f"{tmp_path / 'gates' / 'talker.json'} cannot be written: Is a directory"
-        full.rmdir()
+        assert status.unwritten == f"{tmp_path / 'gates' / 'talker.json'} cannot be written: No space left on device"
+        disk.has_room()
         while (await manager.status()).unwritten is not None:
             await asyncio.sleep(0.1)
         record = ForeignRecord.read(tmp_path / "gates", "talker")
         assert record is not None and record.modes == {"talk": "degraded"}
-        full.mkdir()  # the next manager finds it so
+        FullDisk(monkeypatch)  # the next manager finds it so
         await simulator.manager_killed()
         assert await simulator.adopt(Handle("talker"))
 

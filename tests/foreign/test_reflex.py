@@ -25,6 +25,7 @@ from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire import commands
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.state import ComponentState, GateState, LinkState, Measured
+from tests.foreign.full_disk import FullDisk
 
 TEXT = """system drive
 
@@ -214,25 +215,24 @@ def test_on_a_full_disk_the_gate_closes_and_the_reflex_goes_on(
     monkeypatch.setattr(gated_reflex, "tolerated_periods", lambda *_: 0.0)
     monkeypatch.setattr(agent_module, "HEARTBEAT", 0.01)
     gates = robot.gates["Driver"]
-    full = tmp_path / "driver.new"
 
     async def scenario() -> None:
         for port in ("scan", "cmd"):
             gates.entry(port).endpoints = 1
         agent = ForeignAgent(robot.record, tmp_path, gates)
         node = agent.node
-        full.mkdir()
+        disk = FullDisk(monkeypatch)
         await agent.open(SocketFolder(tmp_path / "components"))
         try:
             while "drive" not in node.record.fallen:
                 await asyncio.sleep(0.005)
-            assert node.unwritten == f"{tmp_path / 'driver.json'} cannot be written: Is a directory"
+            assert node.unwritten == f"{tmp_path / 'driver.json'} cannot be written: No space left on device"
             node.enter_modes({"drive": "degraded"}, "a command")
             assert not gates.entry("cmd").gate
             node.enter_modes({"drive": "normal"}, "a command")  # again
             while "drive" not in node.record.fallen:
                 await asyncio.sleep(0.005)
-            full.rmdir()
+            disk.has_room()
             while ForeignRecord.read(tmp_path, "driver") != node.record:
                 await asyncio.sleep(0.005)
         finally:

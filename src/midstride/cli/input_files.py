@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 import sys
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +16,7 @@ from midstride.errors import MidstrideError, SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
 from midstride.package_files import PACKAGE_NAME, SCHEME, NotFound, name_of, stride_files
+from midstride.whole_file import write_whole
 
 # Longer than any specification or plan. A device that never ends, such as /dev/zero, would fill the memory.
 MAX_CHARACTERS: Final = 64_000_000
@@ -90,23 +89,12 @@ def write(path: Path, text: str) -> None:
     with written(path):
         if not path.exists() or path.is_file():
             try:
-                write_whole(path, text)
+                write_whole(path, text.encode())
                 return
             except OSError as error:
                 if error.errno not in _IN_PLACE:
                     raise
         path.write_text(text, encoding="utf-8")  # also to /dev/stdout
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Replace a text file in one step, through links, and keep its mode. Raises OSError; the file is then as before."""
-    target = path.resolve()
-    with tempfile.TemporaryDirectory(prefix=".midstride-", dir=target.parent) as folder:
-        new = Path(folder, target.name)
-        new.write_text(text, encoding="utf-8")
-        if target.exists():
-            shutil.copymode(target, new)
-        new.replace(target)
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from midstride.errors import BackendError
+from midstride.foreign.gate_file import write_gate_file
 from midstride.foreign.page_layout import (
     BATONS,
     HAS_AGENT,
@@ -43,7 +44,6 @@ from midstride.foreign.page_layout import (
     RequestsStep,
     version_of,
 )
-from midstride.foreign.whole_file import write_whole
 from midstride.node.handover.baton import BatonStep, BatonWord
 from midstride.wire.state import GoalCounts
 
@@ -475,7 +475,7 @@ class Page:
                 break
             size -= oldest.stat().st_size
             oldest.unlink()
-        write_whole(path, response)
+        write_gate_file(path, response)
 
     # -- what its processes do -------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ import msgspec
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError
-from midstride.foreign.whole_file import write_whole
+from midstride.foreign.gate_file import write_gate_file
 from midstride.model.instance_names import dotted_name
 from midstride.wire.state import GateState, WireValue
 
@@ -77,7 +77,7 @@ class ForeignRecord(WireValue, frozen=True, kw_only=True):
 
     def write(self, folder: Path) -> None:
         """Replace the file of this instance. Raises BackendError."""
-        write_whole(_path(folder, self.instance), msgspec.json.encode(self))
+        write_gate_file(_path(folder, self.instance), msgspec.json.encode(self))
 
     @classmethod
     def read(cls, folder: Path, instance: str) -> ForeignRecord | None:

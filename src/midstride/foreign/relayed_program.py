@@ -17,7 +17,7 @@ import msgspec
 
 from midstride.codec.component_form import NamedComponentForm
 from midstride.errors import BackendError, NodeError
-from midstride.foreign.whole_file import write_whole
+from midstride.foreign.gate_file import write_gate_file
 from midstride.model.component import ComponentSpec, StopTimes
 from midstride.model.instance_names import PRIVATE_NAMES, dotted_name
 from midstride.wire.state import WireValue
@@ -64,7 +64,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
-        write_whole(path, msgspec.json.encode(self))
+        write_gate_file(path, msgspec.json.encode(self))
 
     @classmethod
     def read(cls, path: Path) -> RelayOrder:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from midstride.cli import shell_completion
-from midstride.cli.input_files import require_file, write_whole
+from midstride.cli.input_files import require_file
 from midstride.cli.output import json_option, show
 from midstride.cli.specification_argument import SpecificationPath
 from midstride.errors import MidstrideError
@@ -18,6 +18,7 @@ from midstride.lang.diagnostic_text import Diagnostic
 from midstride.lang.message_types import installed
 from midstride.lang.source_files import Unreadable, read_text
 from midstride.package_files import owner
+from midstride.whole_file import write_whole
 
 
 @click.command("check")
@@ -67,7 +68,7 @@ def fmt_command(files: tuple[Path, ...], check: bool) -> int:
         if formatted.text is not None and formatted.text.encode() != file.read_bytes():
             changed.append(file)
             if not check:
-                write_whole(file, formatted.text)
+                write_whole(file, formatted.text.encode())
     bad = bool(found) or (check and bool(changed))
     lines = [render(found)] if found else []
     lines += [f"{file}: {'not formatted' if check else 'formatted'}" for file in changed]

@@ -6,8 +6,6 @@ import asyncio
 import contextlib
 import copy
 import logging
-import os
-import tempfile
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -20,6 +18,7 @@ from midstride.errors import ManagerError, internal_error
 from midstride.runtime.timeouts import within
 from midstride.runtime.view.status import status
 from midstride.server.manager_lifecycle import Lifecycle
+from midstride.whole_file import write_whole
 
 if TYPE_CHECKING:
     from midstride.server.metrics.exposition import Snapshot
@@ -74,7 +73,7 @@ class MetricsFile:
             raise ManagerError(f"--metrics-file {path}: node_exporter only reads files that end in `{SUFFIX}`")
         made = cls(path)
         try:
-            made._write(b"")
+            write_whole(path, b"", mode=_READABLE)
         except OSError as error:
             raise ManagerError(f"--metrics-file: cannot write to {path.parent}: {error.strerror or error}") from None
         return made
@@ -98,7 +97,7 @@ class MetricsFile:
         while not over.is_set():
             try:
                 text = await asyncio.to_thread(exposition, snapshot(lifecycle))
-                await asyncio.to_thread(self._write, text)
+                await asyncio.to_thread(write_whole, self._path, text, mode=_READABLE)
                 self._refused = None
             except OSError as error:  # the time in the old version then says that it is old
                 self._note(lifecycle, error.strerror or str(error))
@@ -113,15 +112,3 @@ class MetricsFile:
         if because != self._refused:
             self._refused = because
             lifecycle.manager.watched.events.add("note", f"the metrics cannot be written to {self._path}: {because}")
-
-    def _write(self, text: bytes) -> None:
-        handle, name = tempfile.mkstemp(prefix=f".{self._path.name}.", dir=self._path.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(text)
-                os.fchmod(file.fileno(), _READABLE)
-            os.replace(name, self._path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                os.unlink(name)
-            raise

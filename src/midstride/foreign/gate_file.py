@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from midstride.errors import BackendError
+from midstride.whole_file import write_whole
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_gate_file(path: Path, content: bytes) -> None:
     """Replace a file in one step. Raises BackendError."""
     try:
-        new = path.with_suffix(".new")
-        new.write_bytes(content)
-        new.replace(path)
+        write_whole(path, content)
     except OSError as error:
         raise BackendError(f"{path} cannot be written: {error.strerror or error}") from None
