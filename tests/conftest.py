@@ -133,7 +133,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def gate_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The compiled library of the gates, of the sources as they are."""
+    """The compiled library of the gates, of the sources as they are. Skips where there is no C compiler."""
     from midstride.foreign import build
+    from tests.native import c_compiler
 
+    c_compiler()
     return build.library({**os.environ, "XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))})

@@ -71,6 +71,14 @@ def goal_steps(path: Path) -> Any:
     return library
 
 
+def c_compiler() -> list[str]:
+    """The command of the C compiler. Skips where there is none."""
+    found = build.compiler()
+    if found is None:
+        pytest.skip("no C compiler is installed")
+    return found
+
+
 def environment_of_compiled(base: Mapping[str, str]) -> dict[str, str]:
     """That of a program that :func:`compiled` has made. With wheels, rclpy has set the path of their libraries."""
     paths = [base.get("LD_LIBRARY_PATH", ""), sysconfig.get_config_var("LIBDIR")]
@@ -104,10 +112,8 @@ def compile_with_ros(
 
     ``options`` stand before the sources; ``compiler``: for another language. Skips where that cannot be done.
     """
-    if compiler is None and (found := build.compiler()) is not None:
-        compiler = [*found, "-std=gnu11"]
     if compiler is None:
-        pytest.skip("no C compiler here")
+        compiler = [*c_compiler(), "-std=gnu11"]
     prefix = ros_prefix()
     include = prefix / "include"
     headers = [f"-I{each}" for each in (include, *sorted(include.iterdir())) if each.is_dir()]

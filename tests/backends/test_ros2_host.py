@@ -17,7 +17,6 @@ from typing import Any
 import pytest
 
 from midstride.errors import BackendError, CommandRefused
-from midstride.foreign import build
 from midstride.wire.commands import (
     AwaitWriteCommand,
     GridCommand,
@@ -43,6 +42,7 @@ from tests.backends.ros2_support import (
     until_async,
     without_midstride,
 )
+from tests.native import c_compiler
 
 pytestmark = pytest.mark.ros2
 
@@ -644,9 +644,7 @@ comp.start()
 @pytest.mark.full
 def test_a_system_clock_that_is_set_back_silences_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where nothing writes on /clock, rcl does not notice, and waits until the clock is where it was."""
-    compiler = build.compiler()
-    if compiler is None:
-        pytest.skip("no C compiler here")
+    compiler = c_compiler()
     source, library, set_back = tmp_path / "clock.c", tmp_path / "clock.so", tmp_path / "set back"
     source.write_text(SET_BACK, encoding="utf-8")
     subprocess.run([*compiler, "-shared", "-fPIC", str(source), "-o", str(library)], check=True)

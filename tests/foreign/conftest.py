@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.foreign import build
 from tests.foreign.lab import Lab
+from tests.native import c_compiler
 
 HERE = Path(__file__).parent
 
@@ -45,9 +45,7 @@ def on_cyclone(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def compiled(folder: Path, *linked: str, distribution: str = "JAZZY") -> Path:
-    command = build.compiler()
-    assert command is not None
-    fake_programs(folder, command, linked, distribution)
+    fake_programs(folder, c_compiler(), linked, distribution)
     return folder
 
 

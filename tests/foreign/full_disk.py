@@ -1,26 +1,28 @@
-"""A disk that refuses the files of the folder of gates."""
+"""A disk that refuses a file of the folder of gates."""
 
 from __future__ import annotations
 
 import errno
 import os
+from pathlib import Path
 
 import pytest
 
-from midstride import whole_file
 from midstride.foreign import gate_file
+from midstride.whole_file import write_whole
 
 
 class FullDisk:
-    """Full from its creation on, until :meth:`has_room`."""
+    """Full for the file ``name`` from its creation on, until :meth:`has_room`."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self._monkeypatch, self._written = monkeypatch, whole_file.write_whole
-        monkeypatch.setattr(gate_file, "write_whole", self._refuse)
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+        self._monkeypatch, self._name = monkeypatch, name
+        monkeypatch.setattr(gate_file, "write_whole", self._write)
 
     def has_room(self) -> None:
-        self._monkeypatch.setattr(gate_file, "write_whole", self._written)
+        self._monkeypatch.setattr(gate_file, "write_whole", write_whole)
 
-    @staticmethod
-    def _refuse(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    def _write(self, path: Path, content: bytes) -> None:
+        if path.name == self._name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write_whole(path, content)

@@ -39,6 +39,7 @@ from midstride.foreign.page_layout import (
 from midstride.node.handover.baton import BatonState, BatonStep, SharedSlot
 from midstride.wire.replies import SharedSlotPlace
 from tests.foreign.lab import LOG_SIZE, MS, Lab, until, variables
+from tests.native import c_compiler
 
 RATED, TIMED = PortFlag.RATED | PortFlag.OFFERS, PortFlag.TIMED | PortFlag.OFFERS
 
@@ -340,6 +341,7 @@ def test_a_page_has_its_space_on_the_disk_or_is_refused(
 
 
 def test_the_gate_library_is_compiled_once(tmp_path: Path) -> None:
+    c_compiler()
     environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
     with ThreadPoolExecutor() as pool:
         first, second = pool.map(lambda _: build.library(environment), range(2))
@@ -349,6 +351,7 @@ def test_the_gate_library_is_compiled_once(tmp_path: Path) -> None:
 
 
 def test_an_upgrade_under_a_process_leaves_it_its_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    c_compiler()
     here = {"XDG_CACHE_HOME": str(tmp_path), "PATH": os.environ["PATH"]}
     sources = tmp_path / "gate"
     sources.mkdir()

@@ -315,7 +315,7 @@ def test_one_that_leaves_its_state_by_itself_is_degraded(tmp_path: Path) -> None
 
 def test_what_the_disk_refuses_is_written_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def body(manager: Manager, simulator: SimulatedRos) -> None:
-        disk = FullDisk(monkeypatch)
+        disk = FullDisk(monkeypatch, "talker.json")
         simulator.nodes["talker"].state = "inactive"
         while simulator.active():
             await asyncio.sleep(0.1)
@@ -326,7 +326,7 @@ def test_what_the_disk_refuses_is_written_later(tmp_path: Path, monkeypatch: pyt
             await asyncio.sleep(0.1)
         record = ForeignRecord.read(tmp_path / "gates", "talker")
         assert record is not None and record.modes == {"talk": "degraded"}
-        FullDisk(monkeypatch)  # the next manager finds it so
+        FullDisk(monkeypatch, "talker.json")  # the next manager finds it so
         await simulator.manager_killed()
         assert await simulator.adopt(Handle("talker"))
 

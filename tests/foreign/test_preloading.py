@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from midstride.foreign import build
 from midstride.foreign.elf import read_elf
 from midstride.foreign.preloading import StartedPrograms, is_secure, why_not_loaded, why_unseen
+from tests.native import c_compiler
 
 # Says whether a library of the name that it is given is in its process, and waits if that is asked for.
 PROGRAM = """
@@ -55,8 +55,7 @@ def compiled() -> Iterator[Callable[..., Path]]:
 
 
 def compiled_in(folder: Path, name: str, *options: str, source: str = PROGRAM) -> Path:
-    command = build.compiler()
-    assert command is not None
+    command = c_compiler()
     (folder / f"{name}.c").write_text(source)
     arguments = [*command, "-o", str(folder / name), str(folder / f"{name}.c"), *options]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)

@@ -221,7 +221,7 @@ def test_on_a_full_disk_the_gate_closes_and_the_reflex_goes_on(
             gates.entry(port).endpoints = 1
         agent = ForeignAgent(robot.record, tmp_path, gates)
         node = agent.node
-        disk = FullDisk(monkeypatch)
+        disk = FullDisk(monkeypatch, "driver.json")
         await agent.open(SocketFolder(tmp_path / "components"))
         try:
             while "drive" not in node.record.fallen:

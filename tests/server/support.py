@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import httpx
@@ -41,7 +41,8 @@ async def serving(
         finally:
             if not server.done():
                 manager.answers["down"] = DownReport()
-                await client.post("/down")
+                with suppress(httpx.TransportError):  # it may be ending
+                    await client.post("/down")
             await asyncio.wait_for(server, 20)
 
 
