@@ -159,15 +159,11 @@ class Process:
 
 
 class Locks:
-    """The locks of both sides: one, or two that have nothing to do with each other where they are on two ``hosts``."""
+    """The one lock of both sides."""
 
-    def __init__(self, sides: dict[str, Process], hosts: int) -> None:
-        holders: list[dict[str, PipeLock]] = [{} for _ in range(hosts)]
-        self.locks = {
-            process: PipeLock(holders[number % hosts], "cut", f"host {number % hosts}")
-            for number, process in enumerate(sides.values())
-        }
-        self.holders = holders
+    def __init__(self, sides: dict[str, Process]) -> None:
+        self.holders: dict[str, PipeLock] = {}
+        self.locks = {process: PipeLock(self.holders, "cut") for process in sides.values()}
 
     def arbiter(self, process: Process) -> Arbiter:
         return LockArbiter(self.locks[process])
@@ -177,7 +173,7 @@ class Locks:
         self.locks[process].give_back()
 
     def may_write(self, process: Process) -> bool:
-        return any(self.locks[process] in each.values() for each in self.holders)
+        return self.locks[process] in self.holders.values()
 
     def place(self, process: Process) -> str:
         return self.locks[process].place
@@ -270,23 +266,21 @@ class World:
     """``manager``: its commands; it may end before each. `c` cancels and `s` resolves a side, `o` or `n`, `k` kills it,
     `d` takes it off its topic.
 
-    ``mortal``: the sides that may die. ``fails``: the code of the new side may raise. ``hosts``: one, with one lock
-    for both sides, or two. With a ``library``, a baton decides.
+    ``mortal``: the sides that may die. ``fails``: the code of the new side may raise. With a ``library``, a baton
+    decides.
     """
 
-    def __init__(
-        self, manager: str = "", mortal: str = "", fails: bool = False, hosts: int = 1, library: Any = None
-    ) -> None:
+    def __init__(self, manager: str = "", mortal: str = "", fails: bool = False, library: Any = None) -> None:
         self.moment = 0
         self.manager, self.mortal, self.fails = manager, mortal, fails
         self.command: Work | None = None
         # Whether the old side was heard long after T, beside the new one: with one lock it can know.
-        self.outdated, self.one_lock = False, library is None and hosts == 1
+        self.outdated, self.one_lock = False, library is None
         self.reports: list[Report] = []
         self.processes = {"o": Process(self, [T - SLOT, T]), "n": Process(self, [T])}
         old, new = self.processes.values()
         old.link.open = True
-        self.rights = Locks(self.processes, hosts) if library is None else Baton(self.processes, library)
+        self.rights = Locks(self.processes) if library is None else Baton(self.processes, library)
         outgoing: OutgoingSide
         incoming: IncomingSide
         if library is None:
@@ -554,16 +548,6 @@ def test_with_a_baton_two_sides_can_never_both_write_and_one_does(
     library = baton_steps(gate_library)
     found = assert_one_writer(states, manager=manager, mortal=mortal, fails=fails, library=library)
     assert {seen.outcomes[0] for seen in found} >= {"waiting", "done", "resumed"}
-
-
-@pytest.mark.parametrize(("manager", "states"), [("", 2256), pytest.param("kn", 6768, marks=FULL)])
-def test_between_two_hosts_an_old_side_that_knows_writes_on_command_only(manager: str, states: int) -> None:
-    """They share no lock, so it cannot know that the new side has ended."""
-    found = explore(manager=manager, hosts=2)
-    assert len(found) == states
-    assert all(seen.writes != "on" for seen in found if seen.confirmed and seen.outcomes[0] == "done")
-    assert not any("o" in seen.writes for seen in found if seen.outcomes[0] == "done")
-    assert any(seen.confirmed and not seen.writes for seen in found if seen.settled) == bool(manager)
 
 
 async def cancelled_without_the_lock(self: Any) -> None:

@@ -11,9 +11,7 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.network import SimulatedReader, SimulatedWriter
-from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.errors import CommandRefused
-from midstride.wire.pipe import PipeLock
 from tests.conformance import puppets
 from tests.conformance.lab import Lab
 from tests.planting import plant
@@ -454,30 +452,6 @@ def test_an_attach_that_finds_too_few_says_how_many(tmp_path: Path) -> None:
         await lab.start("node", puppets.talker())
         with pytest.raises(CommandRefused, match="only 1 of 2 endpoints"):
             await lab.change("node", "attach", port="out", topic=TOPIC, peers=2, timeout=0.5)
-
-    in_lab(tmp_path, main)
-
-
-def test_an_old_side_that_has_a_lock_elsewhere_writes_again_on_command_only(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Two hosts: that this one's lock is free says nothing about the new side."""
-
-    async def main(lab: Lab, simulator: Simulator) -> None:
-        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
-
-        def lock_of(process: SimulatedProcess, cut: str) -> PipeLock:
-            return PipeLock({}, cut, process.instance)
-
-        plant(monkeypatch, simulator.control, "lock_of", lock_of)
-        await cut_at(lab, await next_slot(lab, 0.2))
-        assert await outcomes(lab) == ("done", "done")
-        await lab.sleep(1.0)
-        simulator.faults.kill("new")
-        await lab.sleep(1.0)
-        assert not await reopened(lab)
-        await lab.change("old", "cancel_cut", cut="cut")
-        assert await reopened(lab)
 
     in_lab(tmp_path, main)
 

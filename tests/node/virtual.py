@@ -51,6 +51,7 @@ class Rights:
     settled: bool = True
     passed_on: bool = False
     is_overtaken: bool = False
+    undecided: bool = False
     reclaims: bool = False
     frees: bool = False
     asked: int = 0
@@ -75,6 +76,8 @@ class Rights:
 
     def share(self, place: str) -> None:
         self.shared.append(place)
+
+    def free(self) -> None: ...
 
     def reclaim(self) -> bool:
         return self.reclaims

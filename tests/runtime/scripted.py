@@ -301,9 +301,15 @@ class ScriptedClient(ComponentClient):
         state: ComponentState = await self._reply("peek", instance, ObserveCommand())
         return state
 
-    async def undo(self, instance: str, command: Command[Any]) -> None:
-        with contextlib.suppress(MidstrideError):
+    async def share_locks(self, instance: str, other: str) -> bool:
+        return True
+
+    async def undo(self, instance: str, command: Command[Any]) -> bool:
+        try:
             await self._reply("undo", instance, command)
+        except MidstrideError:
+            return False
+        return True
 
 
 class ScriptedBackend:

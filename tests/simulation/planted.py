@@ -17,7 +17,7 @@ from midstride.node.author.client_ports import ClientPort
 from midstride.node.control import component_agent
 from midstride.node.control.component_end import ComponentEnd
 from midstride.node.control.service_answering import Answering
-from midstride.node.handover import cut, cut_protocol
+from midstride.node.handover import cut, cut_protocol, lease
 from midstride.node.request_admission import GoalTurn, RequestAdmission
 from midstride.runtime.change import executor, reconciler, roll_back
 from midstride.runtime.handover import live_handover
@@ -48,6 +48,16 @@ def _resumed_without_lock(patch: pytest.MonkeyPatch) -> None:
 def _written_without_lock(patch: pytest.MonkeyPatch) -> None:
     """The new side of a cut writes although the old one may write again."""
     plant(patch, cut.IncomingCut, "admits", cut.IncomingCut.passes)
+
+
+def _lease_not_checked(patch: pytest.MonkeyPatch) -> None:
+    """The new side of a cut between two hosts writes on although its lease is over."""
+    plant(patch, lease.NewLease, "_may_write", lambda self: self._confirmed or self._until > 0)
+
+
+def _lease_not_waited_for(patch: pytest.MonkeyPatch) -> None:
+    """The old side of a cut between two hosts writes again although the lease that it has given is not over."""
+    plant(patch, lease.OldLease, "_is_over", lambda self: True)
 
 
 def _write_not_durable(patch: pytest.MonkeyPatch) -> None:
@@ -360,6 +370,8 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_acknowledgement_dropped, "resumed before it learned"),
         (_resumed_without_lock, "are both heard on"),
         (_written_without_lock, "is open on"),
+        (_lease_not_checked, "are both heard on"),
+        (_lease_not_waited_for, "are both heard on"),
         (_write_not_durable, "another manager of this system has taken over"),
         (_lease_forgotten, "a superseded manager starts"),
         (_superseded_goes_on, "a superseded manager sends"),

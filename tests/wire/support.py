@@ -15,10 +15,11 @@ from midstride.codec.component_form import NamedComponentForm, decode_component
 from midstride.errors import Unreachable
 from midstride.wire.command_server import CommandServer, RequestHandler
 from midstride.wire.frames import PROTOCOL, Greeting, Hello, Registration, Reply, Request, StateChanged, encode
+from midstride.wire.pipe import MEMORY
 from midstride.wire.state import ComponentState
 from tests.conformance import puppets
 
-GREETING = Greeting(protocol=PROTOCOL, instance="talker", uuid="u", pid=7, start_token="secret")
+GREETING = Greeting(protocol=PROTOCOL, instance="talker", uuid="u", pid=7, start_token="secret", place=MEMORY)
 HELLO = encode(Hello(protocol=PROTOCOL, token="secret"))
 REGISTRATION = Registration(
     declaration=NamedComponentForm.of(decode_component(puppets.talker()["component"])), endpoints=[]

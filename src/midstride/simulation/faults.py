@@ -36,14 +36,17 @@ FaultKind: TypeAlias = Literal[
     "manager killed at a write",
     "torn write",
     "manager superseded",
+    "link cut",
+    "link cut one way",
 ]
-KINDS: Final[tuple[FaultKind, ...]] = get_args(FaultKind)
+# Faults of the line between two hosts, which are drawn besides where there are two.
+OF_LINKS: Final[tuple[FaultKind, ...]] = ("link cut", "link cut one way")
+KINDS: Final[tuple[FaultKind, ...]] = tuple(each for each in get_args(FaultKind) if each not in OF_LINKS)
 # How late messages are at most (s): what is under way when the faults end arrives while the system settles.
 LONGEST_DELAY: Final = 0.3
 # Faults that make calls of a component's code late.
 LATE: Final[frozenset[str]] = frozenset({"freeze", "hang", "clock jump"})
-# Faults that keep the two sides of a hand-over from hearing of each other in time: components of two machines, which
-# share no lock, may then both write.
+# Faults that keep the two sides of a hand-over from hearing of each other in time.
 DEAFENING: Final[frozenset[str]] = LATE | {
     "lost request",
     "lost reply",
@@ -51,6 +54,7 @@ DEAFENING: Final[frozenset[str]] = LATE | {
     "refused request",
     "delayed request",
     "delayed reply",
+    *OF_LINKS,
 }
 # Faults in spite of which a change is done, where calls hang for less time than it waits for them.
 HARMLESS: Final[frozenset[str]] = frozenset(
@@ -143,6 +147,20 @@ def _draw(random: random.Random, steps: Sequence[str], kinds: Sequence[str]) -> 
     )
 
 
+def draw_of_links(seed: int, steps: Sequence[str]) -> list[Fault]:
+    """At most one fault of the line between two hosts, at a request by which a hand-over is agreed.
+
+    By numbers that nothing else is drawn from.
+    """
+    drawn = random.Random(f"the line between two hosts, {seed}")
+    kind = drawn.choice((*OF_LINKS, None))
+    if kind is None or "handover" not in steps:
+        return []
+    op = drawn.choice((*CRITICAL, "claim", "claim"))
+    seconds = drawn.choice((0.1, 0.3, 1.0, 1.3, 2.0, 4.0))
+    return [Fault(kind, "handover", 0, involved=True, seconds=seconds, times=1, op=op)]
+
+
 def strike(fault: Fault, platform: Platform, names: list[str], random: random.Random) -> str | None:
     """Let ``fault`` strike one of the instances in ``names``: the instance or topic concerned, or None if none is.
 
@@ -170,6 +188,12 @@ def strike(fault: Fault, platform: Platform, names: list[str], random: random.Ra
             faults.freeze(target.instance, fault.seconds)
         case "hang":
             faults.hang(target.instance, fault.seconds)
+        case "link cut" | "link cut one way":
+            hosts = platform.host_names()
+            lines = [(one, other) for one in hosts for other in hosts if one != other]
+            for line in lines if fault.kind == "link cut" else [random.choice(lines)] if lines else []:
+                platform.control.links.cut(*line, fault.seconds)
+            return "between the hosts" if lines else None
         case "no discovery":
             faults.stop_discovery(target.instance)
         case "slow rate" | "silence" | "exception":

@@ -88,7 +88,7 @@ class Invariants:
     def begin(
         self,
         reaction: Callable[[], float],
-        lateness: Callable[[bool], float],
+        lateness: Callable[[], float],
         uninterrupted: Callable[[], bool],
         torn: Callable[[], bool],
         violated: Callable[[str], None],
@@ -97,9 +97,8 @@ class Invariants:
         """A new seed begins.
 
         ``reaction()``: how long the manager may take to react now (s), infinite while it cannot.
-        ``lateness(apart)``: how long after a publisher was replaced its last message may be heard (s), because of a
-        fault that makes calls late; infinite where it may not know either that it was replaced. ``apart``: the two are
-        on two machines.
+        ``lateness()``: how long after a publisher was replaced its last message may be heard (s), because of a fault
+        that makes calls late; infinite where it may not know either that it was replaced.
         ``uninterrupted()``: whether no plan and no fault has a reason to make a topic silent.
         ``torn()``: whether one of two instances may take the other one for dead.
         ``violated`` is called once for each violation, with words.
@@ -148,8 +147,8 @@ class Invariants:
         new one takes nothing over, and a plan may attach it before the old one is detached.
         """
         for other in self.platform.stand_ins():
-            if other is process or other.role != process.role or other.machine != process.machine:
-                continue  # those on two machines share no lock, and cannot hear of each other
+            if other is process or other.role != process.role:
+                continue
             for port, topic in sorted(process.open_outputs() & other.open_outputs()):
                 if not _guarantees(process, port) and not _guarantees(other, port):
                     continue
@@ -170,10 +169,7 @@ class Invariants:
         self._note_heard(owner, writer.topic)
         if before.instance == owner.instance:
             return
-        apart = before.machine != owner.machine
-        lateness = self.lateness(apart)
-        if apart and lateness == math.inf:
-            return  # they share no lock, and cannot hear of each other
+        lateness = self.lateness()
         if now - at < period * SAME_SLOT and not lateness:
             self._violation(f"{before.instance} and {owner.instance} both write one slot of {writer.topic}")
         times = self._exchanged.setdefault(

@@ -21,8 +21,8 @@ class Platform(Simulator):
         super().__init__(jitter=0.0005)
         # The next process to be started ends at once.
         self.next_start_fails = False
-        # On how many machines the processes run that are started from now on.
-        self.machines = 1
+        # On how many hosts the processes run that are started from now on.
+        self.hosts = 1
         self._on_change = on_change
 
     def standing(self, instance: str) -> StandIn | None:
@@ -32,6 +32,9 @@ class Platform(Simulator):
 
     def stand_ins(self) -> list[StandIn]:
         return [process for _, process in sorted(self.processes.items()) if isinstance(process, StandIn)]
+
+    def host_names(self) -> list[str]:
+        return sorted({process.on for process in self.processes.values()})
 
     async def start(self, launch: Launch) -> Handle:
         handle = await super().start(launch)
@@ -55,6 +58,7 @@ class Platform(Simulator):
     def heal(self) -> None:
         """End every fault of the platform. A middleware that finds no endpoints any more needs a new process."""
         self.faults.clear()
+        self.control.links.clear()
         self.starting = 0.05
         self.next_start_fails = False
         for topic in self.network.topics.values():
@@ -71,7 +75,7 @@ class Platform(Simulator):
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
         process = StandIn(launch, self._pids, self.time, self._host, self._exited, log)
         process.on_state = self._on_change
-        process.machine = f"machine {self._pids % self.machines}"
+        process.on = f"host {self._pids % self.hosts}"
         return process
 
     def _host(self, process: SimulatedProcess, name: str) -> Host:

@@ -16,16 +16,30 @@ from midstride.node.author.client_ports import OVERDUE
 from midstride.node.control.component_agent import HEARTBEAT
 from midstride.plan.forms.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.plan.request import PlanRequest
+from midstride.runtime.handover.arbiter_choice import LEASE
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Event
 from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
-from midstride.simulation.faults import DEAFENING, HARMLESS, LATE, LOSSES, OF_THE_MANAGER, PROMPT, Fault, draw, strike
+from midstride.simulation.faults import (
+    DEAFENING,
+    HARMLESS,
+    LATE,
+    LOSSES,
+    OF_LINKS,
+    OF_THE_MANAGER,
+    PROMPT,
+    Fault,
+    draw,
+    draw_of_links,
+    strike,
+)
 from midstride.simulation.invariants import resumes_within
 from midstride.simulation.killable_manager import Life, ManagerKilled
 from midstride.simulation.request_invariants import NOTICED
 from midstride.simulation.scenario import Scenario
 from midstride.simulation.stand_in import StandIn
 from midstride.simulation.system import System
+from midstride.wire.commands import LEASE_SLACK
 from midstride.wire.frames import Reply
 
 # How long (s) a change may take that faults strike, and a system to converge once they are over.
@@ -42,8 +56,10 @@ LATE_WRITE: Final = 0.22
 # it waits before it fences them, and of others, which have to do their part within the time-out of a command.
 AWAITED: Final = 3.5
 AWAITED_OF_OTHERS: Final = 1.0
-# How often the processes that a change starts are on two machines.
-TWO_MACHINES: Final = 0.15
+# How often the processes that a change starts are on two hosts.
+TWO_HOSTS: Final = 0.25
+# For how long an old side on another host may have to wait besides, as the lease of the new one lasts (s).
+LONGEST_LEASE: Final = LEASE * LEASE_SLACK
 # How long to wait after the last command, for reports and messages to arrive (s).
 SETTLING: Final = 0.4
 # Where a write kills the manager: at any, or at one that records what has just been started or removed, or is done.
@@ -101,7 +117,9 @@ class Simulation:
         # Whether another command waits for each change, which then measures for three periods instead of twenty.
         self._brief = self._random.random() < 0.8
         self._faults = draw(self._random, self._scenario.steps)
-        system.platform.machines = 2 if self._random.random() < TWO_MACHINES else 1
+        system.platform.hosts = 2 if self._random.random() < TWO_HOSTS else 1
+        if system.platform.hosts == 2:
+            self._faults += draw_of_links(seed, self._scenario.steps)
         self._loop, self._platform, self._disk = system.loop, system.platform, system.disk
         self._loop.random.seed(self._random.getrandbits(32))
         self._platform.network.random.seed(self._random.getrandbits(32))
@@ -236,7 +254,7 @@ class Simulation:
                 self._violated(f"{sorted(unrecorded)} run, and are not saved")
         if self._outcomes[-1] == "rolled_back":
             if self._has_struck(*DEAFENING):  # an old side that was not told so waits before it writes again
-                await asyncio.sleep(resumes_within(self._system.invariants.oracle.longest_period()))
+                await asyncio.sleep(resumes_within(self._system.invariants.oracle.longest_period()) + LONGEST_LEASE)
             for name in closed_outputs(self._platform):
                 self._violated(f"{name} is closed after a roll-back")
         for again in (True, False):
@@ -302,12 +320,10 @@ class Simulation:
             return REACTION_IF_REFUSED
         return REACTION_IF_UNREACHED if self._has_struck(*LOSSES) else REACTION
 
-    def _lateness(self, apart: bool) -> float:
-        if apart and self._has_struck(*DEAFENING):
-            return math.inf
+    def _lateness(self) -> float:
         if not self._has_struck(*LATE):
             # A cut that was passed is cancelled if its manager does not hear so: the old side goes on, on its own grid.
-            return LATE_WRITE if self._has_struck(*LOSSES, "refused request") else 0.0
+            return LATE_WRITE if self._has_struck(*LOSSES, *OF_LINKS, "refused request") else 0.0
         return LATE_WRITE if {each.fault for each in self._struck} <= PROMPT else math.inf
 
     def _is_undisturbed(self) -> bool:

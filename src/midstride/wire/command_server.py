@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from typing import Any, Final
 
+from msgspec import structs
+
 from midstride.errors import CallTimeout, ProtocolError, Unreachable
 from midstride.wire import frames
 from midstride.wire.channel import in_time
@@ -87,6 +89,9 @@ class CommandServer:
     async def open(self, transport: Transport) -> None:
         """Listen. Raises NodeError where the name is taken."""
         self._stop_listening = await transport.listen(self._greeting.instance, self._serve)
+        lock = transport.cut_lock("")
+        self._greeting = structs.replace(self._greeting, place=lock.place)
+        lock.give_back()
 
     async def close(self, timeout: float) -> None:
         """Accept no further clients, answer the requests under way within ``timeout`` seconds, and disconnect."""

@@ -18,6 +18,7 @@ from midstride.wire.program import Program
 from midstride.wire.replies import (
     Answers,
     Attached,
+    Claimed,
     Confirmed,
     CountedWrites,
     CutClock,
@@ -49,6 +50,9 @@ R_co = TypeVar("R_co", covariant=True)
 
 Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=0)]
 CommandKind: TypeAlias = Literal["reading", "changing", "between"]
+# How much longer the old side of a cut waits than the new one may write with its lease: enough for two steady clocks of
+# which one is fast and the other slow by a tenth. A clock that is synchronised is slewed by less.
+LEASE_SLACK: Final = 1.25
 
 
 class Command(WireValue, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
@@ -364,6 +368,7 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
     messages drive the output, after the first input newer than ``at``. Both are on ``clock``. Without ``swaps``, only
     ``state`` moves, and this side makes no call any more. With a ``shared_slot``, the baton decides instead of ``at``.
+    With a ``lease`` (s), no lock decides which side writes after ``at``: the new one asks for the right.
     """
 
     cut: str
@@ -373,6 +378,7 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     clock: CutClock = "ros"
     state: StateTransfer | None = None
     shared_slot: SharedSlotPlace | None = None
+    lease: Seconds = 0.0
 
 
 class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
@@ -380,6 +386,7 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
 
     A rate-driven mode continues the grid through ``epoch``. With a ``shared_slot``, the baton decides instead of
     ``at``, and the offer of it ends some time after ``resume_after``. ``quiet``: it takes over without a message too.
+    ``leased``: it writes only with a lease from its peer, which is on another host.
     """
 
     cut: str
@@ -393,11 +400,30 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     shared_slot: SharedSlotPlace | None = None
     resume_after: Seconds = 0.0
     quiet: bool = False
+    leased: bool = False
 
 
 class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut"):
-    """The old side's gates stay or become open, the new side's closed."""
+    """The old side's gates stay or become open, the new side's closed.
 
+    ``freed``, to an old side: the new one never writes again, as it has been cancelled, or its process has ended.
+    """
+
+    cut: str
+    freed: bool = False
+
+
+class ConfirmCutCommand(Command[Done], frozen=True, kw_only=True, tag="confirm_cut"):
+    """To the new side of a cut with a lease: the old side never writes again, as its process has ended."""
+
+    kind = "between"
+    cut: str
+
+
+class CutClaimCommand(Command[Claimed], frozen=True, kw_only=True, tag="claim"):
+    """From the new side of a cut with a lease to the old one: may I write what belongs after its moment?"""
+
+    kind = "between"
     cut: str
 
 

@@ -22,7 +22,7 @@ from midstride.wire.state import ComponentState, Endpoint, WireValue
 
 # Incremented with every change of a frame, command, reply or event that another version could misread, and of the locks
 # of cuts: where two versions lock different files, both sides of a cut get their lock, and both write.
-PROTOCOL: Final = 11
+PROTOCOL: Final = 12
 # The longest frame (bytes): recorded receipts and exported state included.
 LONGEST_FRAME: Final = 256 * 1024 * 1024
 # How deep lists and objects in a frame may be nested: each version of Python reads so deep, and none much deeper.
@@ -34,13 +34,18 @@ class Frame(WireValue, frozen=True, kw_only=True, tag_field="frame"):
 
 
 class Greeting(Frame, frozen=True, kw_only=True, tag="greeting"):
-    """The component's first frame. ``start_token`` is the token it was started with, empty where started by hand."""
+    """The component's first frame. ``start_token`` is the token it was started with, empty where started by hand.
+
+    ``place``: where its locks of cuts are (:class:`midstride.wire.transport.CutLock`); those of two components exclude
+    each other if it is one place.
+    """
 
     protocol: int
     instance: str
     uuid: str
     pid: int
     start_token: str
+    place: str = ""
 
 
 class Hello(Frame, frozen=True, kw_only=True, tag="hello"):

@@ -290,6 +290,16 @@ class SharedSlotPlace(PagePlace, frozen=True, kw_only=True):
     timed: bool
 
 
+class Claimed(WireValue, frozen=True, kw_only=True):
+    """May the new side of a cut write? With ``leased``, for so many ``seconds`` from its request on.
+
+    ``yours``: for good. ``recalled``: what it has runs out. ``refused``: the old side writes.
+    """
+
+    how: Literal["leased", "yours", "recalled", "refused"]
+    seconds: float = 0.0
+
+
 class Confirmed(WireValue, frozen=True, kw_only=True):
     """``resumed``: it is too late, and the old side writes again."""
 

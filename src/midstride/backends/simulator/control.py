@@ -10,12 +10,13 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 
 from midstride.backends.simulator.injected_faults import FailingCall, Faults
+from midstride.backends.simulator.links import Links
 from midstride.backends.simulator.simulated_process import SimulatedProcess
 from midstride.backends.simulator.virtual_clock import SimulatedClock
-from midstride.errors import NodeError, Unreachable
+from midstride.errors import CallTimeout, NodeError, Unreachable
 from midstride.wire import frames
 from midstride.wire.frames import Reply, Request
-from midstride.wire.pipe import PipeEnd, PipeLock, PipeNetwork
+from midstride.wire.pipe import MEMORY, PipeEnd, PipeLock, PipeNetwork
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Connection, Serve, StopListening
 
@@ -93,9 +94,9 @@ class SimulatedEnd(PipeEnd):
     It neither sends nor receives while its process is frozen; the manager has none.
     """
 
-    def __init__(self, clock: SimulatedClock, latency: float, process: SimulatedProcess | None) -> None:
+    def __init__(self, links: Links, latency: float, process: SimulatedProcess | None) -> None:
         super().__init__()
-        self._clock = clock
+        self._links = links
         self._latency = latency
         self._process = process
         self._in_flight: deque[bytes | None] = deque()
@@ -113,11 +114,19 @@ class SimulatedEnd(PipeEnd):
 
     def _transmit(self, frame: bytes | None) -> None:
         self._in_flight.append(frame)
+        assert isinstance(self.other, SimulatedEnd)
         # Timers of the same moment fire in any order: each delivers what is first.
-        self._clock.loop.call_later(self._latency, self._deliver)
+        self._links.deliver(*line_between(self._process, self.other._process), self._latency, self._deliver)
 
     def _deliver(self) -> None:
         super()._transmit(self._in_flight.popleft())
+
+
+def line_between(sender: SimulatedProcess | None, receiver: SimulatedProcess | None) -> tuple[str, str]:
+    """The hosts of both; the manager, which is None, reaches each component as if it were on its host."""
+    if sender is None or receiver is None:
+        return MEMORY, MEMORY
+    return sender.on, receiver.on
 
 
 class SimulatedControl:
@@ -131,7 +140,7 @@ class SimulatedControl:
         self.rewrite_state: Callable[[ComponentState], ComponentState | None] | None = None
         # Called with the instance and both replies where a request that was repeated has another reply than before.
         self.on_carried_out_twice: Callable[[str, Reply, Reply], None] = lambda instance, first, second: None
-        self._clock = clock
+        self.links = Links(clock)
         self._latency = latency
         self._pipes = PipeNetwork()
         self._processes: dict[str, SimulatedProcess] = {}
@@ -157,7 +166,10 @@ class SimulatedControl:
         if serve is None:
             raise Unreachable(f"no component {instance} runs")
         server = self._processes[instance]
-        ours, theirs = (SimulatedEnd(self._clock, self._latency, owner) for owner in (process, server))
+        line = line_between(process, server)
+        if self.links.is_cut(*line) or self.links.is_cut(*reversed(line)):
+            raise CallTimeout(f"the line to {instance} is cut")
+        ours, theirs = (SimulatedEnd(self.links, self._latency, owner) for owner in (process, server))
         ours.other, theirs.other = theirs, ours
         self._ends[server] = [end for end in self._ends.get(server, []) if not end.closed] + [theirs]
         if process is not None:
@@ -178,7 +190,7 @@ class SimulatedControl:
 
     def lock_of(self, process: SimulatedProcess, cut: str) -> PipeLock:
         """A lock that is free again when ``process`` ends."""
-        self._locks.setdefault(process, []).append(lock := self._pipes.cut_lock(cut, process.machine))
+        self._locks.setdefault(process, []).append(lock := self._pipes.cut_lock(cut, process.on))
         return lock
 
 

@@ -59,8 +59,8 @@ class SimulatedProcess:
         self.status: int | None = None
         # Its full name in the graph: ``front/camera`` is node ``camera`` in ``/front``, whatever the namespace.
         self.node = full_name(launch.instance, launch.namespace)
-        # Components of two machines share no lock, so their locks of a cut do not exclude each other.
-        self.machine = MEMORY
+        # The host that it is on. Components of two hosts share no lock: their locks of a cut do not exclude each other.
+        self.on = MEMORY
         self._on_exit = on_exit
         self._program = self._new_program(launch)
         self._queue: deque[Callable[[], object]] = deque()

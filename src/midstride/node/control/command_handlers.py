@@ -96,6 +96,8 @@ class CommandHandlers:
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.ResolveCutsCommand: self._handovers.resolve_cuts,
             commands.CutTakenCommand: self._handovers.taken,
+            commands.CutClaimCommand: self._handovers.claim,
+            commands.ConfirmCutCommand: self._handovers.confirm_cut,
             commands.DiscoverCommand: partial(discover, self.host),
             commands.AwaitIdleCommand: self._fencing.await_idle,
             commands.FenceCommand: self._fencing.fence,

@@ -55,6 +55,13 @@ class Arbiter(Protocol):
     def share(self, place: str) -> None:
         """The new side reports that it has the right, in ``place``."""
 
+    def free(self) -> None:
+        """The new side is known never to write again: it has said so, or its process has ended."""
+
+    @property
+    def undecided(self) -> bool:
+        """Return whether only time can tell which side has the right: then :meth:`reclaim` is to be tried again."""
+
     def reclaim(self) -> bool:
         """Return whether this side has the right, and keeps it: the new one can no longer take it."""
 
@@ -79,6 +86,7 @@ class LockArbiter:
     refused: bool = field(default=False, init=False)
     settled: bool = field(default=True, init=False)
     passed_on: bool = field(default=False, init=False)
+    undecided: bool = field(default=False, init=False)
     _has: bool = field(default=False, init=False)
 
     def begin(self, output: int) -> bool:
@@ -105,6 +113,9 @@ class LockArbiter:
 
     def share(self, place: str) -> None:
         self.lock.share(place)
+
+    def free(self) -> None:
+        """The lock is free, too."""
 
     def reclaim(self) -> bool:
         self._has = self.lock.take()

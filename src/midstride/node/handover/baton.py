@@ -122,7 +122,12 @@ class SharedSlot(PageSlot):
 
     is_overtaken = passed_on
 
+    undecided = False
+
     def share(self, place: str) -> None:
+        """The word says it."""
+
+    def free(self) -> None:
         """The word says it."""
 
     def reclaim(self) -> bool:

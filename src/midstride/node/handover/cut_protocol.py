@@ -18,6 +18,7 @@ from midstride.errors import BackendError, CommandRefused
 from midstride.node.component_host import Host
 from midstride.node.handover.cut import GRACE, IncomingSide, OutgoingSide
 from midstride.node.handover.cut_life import PHASES, STATES, CutEvent, CutPhase, CutProgress, CutState
+from midstride.node.handover.lease import LeaseKeeper
 from midstride.node.handover.state_transfer import StateExport, StateImport
 from midstride.wire.replies import CutOutcome, CutResult
 
@@ -200,6 +201,7 @@ class CutOutTask(_CutTask):
         if self.status in (CutState.RESUMED, CutState.CANCELLED):
             return True
         if failed:
+            self.side.arbiter.free()
             await self.cancel()
             return True
         self.side.arbiter.share(place)
@@ -211,16 +213,26 @@ class CutOutTask(_CutTask):
             self._taken, self.side.taken_at = True, self.host.steady()
 
     def _may_resume(self) -> bool:
-        """Return whether this side may write again; else the new one has taken over, even if its report is lost."""
+        """Return whether this side may write again; else the new one has taken over, even if its report is lost.
+
+        Where that is undecided, it is asked again.
+        """
         if self._taken:
             return False
-        if not self.side.arbiter.reclaim():
+        has = self.side.arbiter.reclaim()
+        if not has and not self.side.arbiter.undecided:
             self._note_taken()
-        return not self._taken
+        return has
+
+    async def _reclaim(self) -> bool:
+        """Return whether this side has the right, as soon as that is decided."""
+        while not (has := self.side.arbiter.reclaim()) and self.side.arbiter.undecided:
+            await self.host.sleep(TICK)
+        return has
 
     async def cancel(self) -> None:
         """Raises CommandRefused where the new side has taken over, and has not given up."""
-        if not self.side.arbiter.reclaim():
+        if not await self._reclaim():
             self._note_taken()
             self._wanted = True
             raise CommandRefused("the new side has taken over, and can still write")
@@ -252,7 +264,7 @@ class CutOutTask(_CutTask):
             await self._end(CutEvent.RECLAIMED, self.side.reopen)
 
     async def resolve(self) -> None:
-        if self._going() and self._may_resume():
+        if self._going() and await self._reclaim() and self._going():
             await self._end(CutEvent.CANCELLED, self.side.reopen)
         await self.finished.wait()
         await self._reclaim_freed()
@@ -276,6 +288,7 @@ class CutInTask(_CutTask):
     report: Callable[[float, bool], Awaitable[bool]] | None
     state: StateImport | None = None
     patience: float = math.inf
+    keeper: LeaseKeeper | None = None  # of its lease, where it has one
     _reports: int = field(default=0, init=False)  # how often it has reported to its peer
     _begun_at: int = field(default=0, init=False)  # steady, ns
 
@@ -349,10 +362,13 @@ class CutInTask(_CutTask):
         return self.status is CutState.CANCELLED or self.is_detached
 
     async def _resumed(self, failed: bool) -> bool:
-        """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
+        """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not.
+
+        Where the arbiter does not tell so, a first write is reported until the answer does.
+        """
         if self.report is None:
             return False
-        while self._reports < REPORT_ATTEMPTS:
+        while self._reports < REPORT_ATTEMPTS or not (failed or self.side.arbiter.settled):
             if not failed and not self._going():
                 return False
             self._reports += 1

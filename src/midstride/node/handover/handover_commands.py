@@ -28,6 +28,7 @@ from midstride.node.handover.cut import (
     reading,
 )
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
+from midstride.node.handover.lease import LeaseKeeper, NewLease, OldLease, OldPeer
 from midstride.node.handover.state_transfer import StateExport, StateImport, mute, unmute
 from midstride.wire import commands, replies
 from midstride.wire.channel import Channel, result_of
@@ -149,9 +150,8 @@ class HandoverCommands:
             return await self._join(command, outgoing, CutOutTask(self.host, self.changed, outgoing, patience))
         export = None if command.state is None else self._export(command.state)
         in_order = export is not None and _in_order(links)
-        side = OutgoingCut(
-            links, self.host, LockArbiter(self._lock(command)), command.at, in_order=in_order, clock=command.clock
-        )
+        arbiter = OldLease(self.host.steady, command.lease) if command.lease else LockArbiter(self._lock(command))
+        side = OutgoingCut(links, self.host, arbiter, command.at, in_order=in_order, clock=command.clock)
         if command.state is not None and command.state.order_only:
             side.until = command.at + int(command.state.timeout * 1e9)
 
@@ -182,11 +182,22 @@ class HandoverCommands:
             for link, swap in zip(links, command.swaps, strict=True)
             if swap.latch or link.output.owner.driven == "none"
         ]
-        lock = self._lock(command)
+        met = self._channels.get(command.address)
+        channel = partial(self._channel, command.address)
+        old = OldPeer(command.peer, channel, "" if met is None else met.greeting.uuid)
+        keeper, place = None, ""
+        arbiter: LockArbiter | NewLease
+        if command.leased:
+            arbiter = old.lease = NewLease(self.host.steady)
+            keeper = LeaseKeeper(command.cut, arbiter, self.host, old.ask)
+            await keeper.begin(command.peer)
+        else:
+            lock = self._lock(command)
+            arbiter, place = LockArbiter(lock), lock.place
         side = IncomingCut(
             links,
             self.host,
-            LockArbiter(lock),
+            arbiter,
             command.at,
             latches=latches,
             quiet=command.quiet,
@@ -201,20 +212,14 @@ class HandoverCommands:
 
         await self._arm(side, arm)
 
-        met = self._channels.get(command.address)
-        old = "" if met is None else met.greeting.uuid
-
         async def report(timeout: float, failed: bool) -> bool:
-            nonlocal old
-            taken = commands.CutTakenCommand(cut=command.cut, failed=failed, lock="" if failed else lock.place)
-            channel = await self._channel(command.address, timeout)
-            old = old or channel.greeting.uuid
-            if channel.greeting.uuid != old:  # that one knows nothing of the cut, and would say that it writes
-                raise Unreachable(f"{command.peer} has ended, and another process has its name")
-            reply = await channel.request(taken, timeout=timeout)
-            return not reply.ok or result_of(reply, taken).resumed
+            taken = commands.CutTakenCommand(cut=command.cut, failed=failed, lock="" if failed else place)
+            return await old.report(taken, timeout)
 
-        self._begin(command.cut, CutInTask(self.host, self.changed, side, report, state))
+        task = CutInTask(self.host, self.changed, side, report, state, keeper=keeper)
+        self._begin(command.cut, task)
+        if keeper is not None:
+            self._start(keeper.run())
         if state is not None and state.complete:
             self._start(state.run())
         return replies.Done()
@@ -234,13 +239,34 @@ class HandoverCommands:
     async def cancel_cut(self, command: commands.CancelCutCommand) -> replies.Done:
         # A new side first: the old one cannot write while that does.
         for side in sorted(self._sides.get(command.cut, []), key=lambda side: not side.new):
+            if command.freed and isinstance(side, CutOutTask):
+                side.side.arbiter.free()
             try:
                 await side.cancel()
+                self._tell_old(side)
             except CommandRefused:
                 if isinstance(side, CutOutTask):
                     self._start(side.watch_successor())
                 raise
         return replies.Done()
+
+    def _tell_old(self, side: Side) -> None:
+        """The old side on another host is to hear that this new one writes nothing any more."""
+        if isinstance(side, CutInTask) and side.keeper is not None:
+            self._start(side.keeper.tell())
+
+    async def confirm_cut(self, command: commands.ConfirmCutCommand) -> replies.Done:
+        for side in self._sides.get(command.cut, []):
+            if isinstance(side, CutInTask) and side.keeper is not None:
+                side.keeper.lease.old_has_ended()
+        return replies.Done()
+
+    async def claim(self, command: commands.CutClaimCommand) -> replies.Claimed:
+        """From the new side. Where the cut is unknown, this side has not stopped writing."""
+        for side in self._sides.get(command.cut, []):
+            if isinstance(side, CutOutTask) and isinstance(side.side.arbiter, OldLease):
+                return side.side.arbiter.claim()
+        return replies.Claimed(how="refused")
 
     async def resolve_cuts(self, command: commands.ResolveCutsCommand) -> replies.Done:
         sides = [side for sides in self._sides.values() for side in sides if side.new == command.new]
@@ -336,6 +362,7 @@ class HandoverCommands:
         for side in (side for sides in self._sides.values() for side in sides):
             if isinstance(side, CutInTask) and side.is_detached:
                 side.side.arbiter.give_back()
+                self._tell_old(side)
 
     def _links_of(
         self, command: commands.CutOutCommand | commands.CutInCommand, kind: type, gate: GateState

@@ -21,9 +21,10 @@ from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Backend
-from midstride.runtime.handover.arbiter_choice import ArbiterKind, choose_arbiter
+from midstride.runtime.handover.arbiter_choice import LEASE, ArbiterKind, choose_arbiter
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.wire.commands import (
+    LEASE_SLACK,
     AwaitMatchCommand,
     CutInCommand,
     CutOutCommand,
@@ -56,7 +57,8 @@ class Cut:
     """One cut between two components, for the outputs of one functionality, which share a time grid.
 
     ``lead`` is how far ahead it was agreed (s); ``state`` how state moves at the cuts of these two components.
-    ``quiet``: neither side writes, so the new one takes over without a message too.
+    ``quiet``: neither side writes, so the new one takes over without a message too. ``lease``: how long the new side
+    may write at a time before its first write is confirmed (s); 0 where a lock decides, or a baton.
     """
 
     configuration: Configuration
@@ -73,6 +75,7 @@ class Cut:
     lead: float = 0.0
     state: StateTransfer | None = None
     quiet: bool = False
+    lease: float = 0.0
 
     def resume_after(self) -> float:
         """How long the old side waits for the new one's first write (s, on the clock of the cut)."""
@@ -101,12 +104,15 @@ class Cut:
             clock=self.clock,
             state=self.state,
             shared_slot=slot,
+            lease=self.lease,
         )
 
     def timeout(self, stretch: float) -> float:
         """How long it may take until both sides know how it ended (s); ``stretch`` as for a slow clock."""
         moving = 0.0 if self.state is None else self.state.timeout
-        return self.lead + self.resume_after() * stretch + 2.0 + moving + self.arbiter.exchange
+        return (
+            self.lead + self.resume_after() * stretch + LEASE_SLACK * self.lease + 2.0 + moving + self.arbiter.exchange
+        )
 
     def incoming(self, address: str, slot: SharedSlotPlace | None = None) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
@@ -134,6 +140,7 @@ class Cut:
             shared_slot=slot,
             resume_after=0.0 if slot is None else self.resume_after(),
             quiet=self.quiet,
+            leased=self.lease > 0,
         )
 
     async def shared_slot(self, client: ComponentClient, side: str) -> SharedSlotPlace | None:
@@ -195,6 +202,8 @@ async def agree_cuts(
         for cut in own:
             cut.state = transfer
     for key, cut in cuts.items():
+        if cut.arbiter.by_moment and not await client.share_locks(cut.old, cut.new):
+            cut.lease = LEASE
         cut.lead = (cut.at - grids[key].now) / 1e9 / (grids[key].speed or 1.0)
     return list(cuts.values())
 

@@ -12,6 +12,10 @@ from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 
+# How long the new side of a cut between two hosts may write, from its request on, before the old one has confirmed its
+# first write (s): several requests on a line that loses some of them, or the longest stall of a busy control thread.
+LEASE: Final = 1.0
+
 
 @dataclass(frozen=True, slots=True)
 class ArbiterKind:

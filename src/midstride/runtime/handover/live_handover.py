@@ -294,6 +294,9 @@ class LiveHandover:
         last: dict[PortRef, int | None] = {}
         if hung and self._cuts:  # the new ones are ready, and may publish already
             last = await self._fence(hung)
+        for cut in self._cuts:
+            if cut.lease and self.client.life.is_gone(cut.old):
+                await self._confirm(cut)
         published = [cut for cut in self._cuts if await self._publishes(cut)]
         waiting = [swap for swap in self.swaps if not any(swap in cut.swaps for cut in published)]
         await self._cancel(cut for cut in self._cuts if cut not in published)
@@ -401,9 +404,8 @@ class LiveHandover:
     async def _await_cuts(self) -> dict[PortRef, int | None]:
         last: dict[PortRef, int | None] = {}
         for cut in self._cuts:
-            await_cut = self._await_cut(cut)
             new, old = await asyncio.gather(
-                self.client.read(cut.new, await_cut), self.client.read(cut.old, await_cut), return_exceptions=True
+                self.client.read(cut.new, self._await_cut(cut)), self._ended_at_old(cut), return_exceptions=True
             )
             incoming = _raised(new)
             self._published = any(incoming.first.values())
@@ -442,16 +444,36 @@ class LiveHandover:
                     self.first_numbers[swap.new] = max(first.number, self.first_numbers.get(swap.new, 0))
         return last
 
+    async def _ended_at_old(self, cut: Cut) -> CutResult:
+        """How the cut has ended at the old side. Raises MidstrideError.
+
+        If that has exited, its lease is no longer needed: the new one may not be able to know.
+        """
+        try:
+            return await self.client.read(cut.old, self._await_cut(cut))
+        except MidstrideError:
+            if cut.lease and await self._has_exited(cut.old):
+                await self._confirm(cut)
+            raise
+
+    async def _confirm(self, cut: Cut) -> None:
+        """Have the new side keep the right to write: the process of the old one has ended."""
+        with contextlib.suppress(MidstrideError):
+            await self.client.read(cut.new, commands.ConfirmCutCommand(cut=cut.id))
+
     def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:
         timeout = max(each.timeout(stretch_of(self.client, each.old)) for each in self._cuts)
         return commands.AwaitCutCommand(cut=cut.id, timeout=timeout)
 
     async def _cancel(self, cuts: Iterable[Cut]) -> None:
         for cut in cuts:
+            freed = False
             for side in (cut.new, cut.old):
                 if side in self.client.life.fenced:
                     continue  # it may hang for ever, and publishes nothing
-                await self.client.undo(side, commands.CancelCutCommand(cut=cut.id))
+                undone = await self.client.undo(side, commands.CancelCutCommand(cut=cut.id, freed=freed))
+                if side == cut.new and cut.lease:
+                    freed = undone or self.client.life.is_gone(side)
 
     async def _undo(self) -> None:
         """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""

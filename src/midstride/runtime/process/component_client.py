@@ -87,6 +87,14 @@ class ComponentClient:
         """Where the component listens, for its peer of a hand-over."""
         return self.transport.address(instance)
 
+    async def share_locks(self, instance: str, other: str) -> bool:
+        """Return whether the locks of both components exclude each other, which they do not on two hosts.
+
+        Raises BackendError where one cannot be reached.
+        """
+        places = [(await self._channel(each)).greeting.place for each in (instance, other)]
+        return places[0] != "" and places[0] == places[1]
+
     async def connect(self, instance: str) -> Greeting:
         """Connect as soon as the component listens; returns its greeting. It waits without limit: cancel it.
 
@@ -237,15 +245,15 @@ class ComponentClient:
         assert latest is not None
         self._revisions[instance] = latest.state.revision
 
-    async def undo(self, instance: str, command: Command[Any]) -> None:
-        """Send a change that undoes another one, at whatever revision the component is; failures are ignored.
+    async def undo(self, instance: str, command: Command[Any]) -> bool:
+        """Send a change that undoes another one, at whatever revision the component is; whether it is carried out.
 
         A command that timed out may still be in progress at the component. It completes first and changes the revision,
         so a refused undo is sent again. A silent component is not waited for. Nothing is sent once another manager has
         taken over.
         """
         if self.life.is_silent(instance) or self.superseded():
-            return
+            return False
         for _ in range(UNDO_ATTEMPTS):
             self.forget_revision(instance)
             try:
@@ -253,8 +261,9 @@ class ComponentClient:
             except CommandRefused:
                 continue
             except (BackendError, Superseded):
-                pass
-            return
+                return False
+            return True
+        return False
 
     def forget_revision(self, instance: str) -> None:
         """The component's revision is unknown from now on: the next change observes it first."""
