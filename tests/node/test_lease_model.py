@@ -254,7 +254,9 @@ def although_taken(self: OldLease) -> bool:
     ("owner", "name", "mistake"),
     [
         pytest.param(NewLease, "_may_write", unchecked, id="a lease that is not checked"),
-        pytest.param(NewLease, "answered", from_the_answer, id="a lease that begins with its answer"),
+        pytest.param(
+            NewLease, "answered", from_the_answer, id="a lease that begins with its answer", marks=pytest.mark.full
+        ),
         pytest.param(OldLease, "claim", given_when_recalled, id="a lease although this side writes"),
         pytest.param(OldLease, "reclaim", without_waiting, id="a lease that is not waited for"),
         pytest.param(OldLease, "reclaim", although_taken, id="a first write that is forgotten"),

@@ -55,11 +55,6 @@ def _lease_not_checked(patch: pytest.MonkeyPatch) -> None:
     plant(patch, lease.NewLease, "_may_write", lambda self: self._confirmed or self._until > 0)
 
 
-def _lease_not_waited_for(patch: pytest.MonkeyPatch) -> None:
-    """The old side of a cut between two hosts writes again although the lease that it has given is not over."""
-    plant(patch, lease.OldLease, "_is_over", lambda self: True)
-
-
 def _write_not_durable(patch: pytest.MonkeyPatch) -> None:
     """A write returns before it is durable: it is committed with the next one, as without an fsync."""
     write = Database.write
@@ -371,7 +366,6 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_resumed_without_lock, "are both heard on"),
         (_written_without_lock, "is open on"),
         (_lease_not_checked, "are both heard on"),
-        (_lease_not_waited_for, "are both heard on"),
         (_write_not_durable, "another manager of this system has taken over"),
         (_lease_forgotten, "a superseded manager starts"),
         (_superseded_goes_on, "a superseded manager sends"),
