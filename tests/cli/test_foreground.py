@@ -22,7 +22,8 @@ from tests.cli.private_systemd import PrivateSystemd, why_not
 
 TALKER = EXAMPLES / "talker" / "talker.stride"
 PATIENCE = 90.0
-DEGRADED = "STATUS=degraded, 1 of 2 nodes run: listener exited unexpectedly (status -9)"
+# The exit status of a process that an earlier manager has started is not known.
+DEGRADED = "STATUS=degraded, 1 of 2 nodes run: listener exited unexpectedly"
 OTHER_TALKER = re.sub(r"(node talker +: )Talker", r"\1NewTalker", TALKER.read_text(encoding="utf-8"))
 
 
@@ -90,12 +91,13 @@ class Supervisor:
             assert time.monotonic() < end, (self.told, self.output.read_text())
             time.sleep(0.02)
 
-    def has(self, assignment: str) -> bool:
+    def has(self, begin: str) -> bool:
+        """Return whether an assignment was told that begins so."""
         try:
             while True:
                 self.told += self._socket.recv(65536).decode().split("\n")
         except BlockingIOError:
-            return assignment in self.told
+            return any(each.startswith(begin) for each in self.told)
 
     def ready(self) -> None:
         self.until(lambda: self.has("READY=1"))
@@ -132,28 +134,17 @@ def processes(midstride: Midstride) -> dict[str, int]:
 
 
 @pytest.mark.full
-def test_the_manager_is_the_command(supervisor: Supervisor) -> None:
-    started = supervisor.start(str(TALKER), "--backend", "sim")
-    supervisor.ready()
-    assert supervisor.has("STATUS=up, all 2 nodes run")
-    (workspace,) = (Workspace(path) for path in (supervisor.midstride.runtime / "midstride").iterdir())
-    assert workspace.manager() == started
-    assert "talker is up: 2 components\n" in supervisor.output.read_text()
-    assert supervisor.midstride("down").status == 0
-    assert supervisor.ended() == 0
-    assert supervisor.has("STOPPING=1") and supervisor.has("STATUS=down")
-    assert supervisor.told.count("WATCHDOG=1") > 1
-
-
-@pytest.mark.full
 @pytest.mark.ros2
-def test_components_outlive_their_manager_and_have_the_next_one(supervisor: Supervisor) -> None:
+def test_components_outlive_the_manager_that_the_command_is(supervisor: Supervisor) -> None:
     midstride = supervisor.midstride
     file = midstride.runtime / "talker.stride"
     file.write_text(TALKER.read_text().replace('"python3 ', f'"python3 {TALKER.parent}/'))
     words = (str(file), "--take-over", "talker")
-    supervisor.start(*words)
+    started = supervisor.start(*words)
     supervisor.ready()
+    assert supervisor.has("STATUS=up, all 2 nodes run")
+    assert "talker is up with " in supervisor.output.read_text()
+    assert Workspace(midstride.runtime / "midstride" / "talker").manager() == started
     running = processes(midstride)
     environment = Path(f"/proc/{running['talker']}/environ").read_bytes()
     assert b"NOTIFY_SOCKET" not in environment and b"WATCHDOG" not in environment
@@ -171,6 +162,7 @@ def test_components_outlive_their_manager_and_have_the_next_one(supervisor: Supe
     os.kill(running["listener"], signal.SIGKILL)
     supervisor.until(lambda: supervisor.has(DEGRADED))
     assert midstride("down").status == 0 and supervisor.ended() == 0
+    assert supervisor.has("STOPPING=1") and supervisor.has("STATUS=down")
     talker = process_info(running["talker"])
     assert talker is None or not talker.alive
 
