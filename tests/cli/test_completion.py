@@ -78,7 +78,7 @@ def complete(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str])
         ("check --", ["--strict", "--no-types", "--json", "--help"]),
         ("plan x --strategy ", ["minimal", "paper", "quiesce", "stop"]),
         ("up x --backend r", ["ros2", "ros1"]),
-        ("explain E01", [f"E01{digit}" for digit in range(8)]),
+        ("explain E01", [f"E01{digit}" for digit in range(10)]),
         ("explain w03", ["w030", "w031", "w032", "w033", "w034", "w035"]),
         ("demo t", ["talker"]),
         ("check ", ["file"]),

@@ -116,7 +116,7 @@ class Exhaustive:
     def steps(self, state: State) -> Iterator[State]:
         configuration = self.configuration(state)
         for op in self.creates:
-            holds = self.instances[op.name].component.resource_usage
+            holds = self.instances[op.name].resource_usage
             if op not in state and all(
                 configuration.held.get(r, 0.0) + a <= configuration.context.capacity(r) + 1e-9 for r, a in holds.items()
             ):

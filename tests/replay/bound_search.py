@@ -119,7 +119,7 @@ class BoundSearch:
         # What the others hold in every state, but do not count.
         self._held = dict[str, Fraction]()
         for name in {*(each.name for each in change.coming), *change.leaving} - own:
-            for resource, amount in change.component_of(name).resource_usage.items():
+            for resource, amount in change.instance(name).resource_usage.items():
                 self._held[resource] = self._held.get(resource, Fraction()) + to_fraction(amount)
         self._publishing = Counter(connector for port, connector in (*capped, *freed) if port.instance not in own)
         self._awaited = self._orders()
@@ -129,10 +129,10 @@ class BoundSearch:
         if not self._state(self.first).loss:
             scarce = self._scarce()
             self.first = frozenset(
-                op for op, instance in self.creates.items() if scarce.isdisjoint(instance.component.resource_usage)
+                op for op, instance in self.creates.items() if scarce.isdisjoint(instance.resource_usage)
             )
             self.goal -= {
-                op for op, name in self.removes.items() if scarce.isdisjoint(change.component_of(name).resource_usage)
+                op for op, name in self.removes.items() if scarce.isdisjoint(change.instance(name).resource_usage)
             }
 
     def _orders(self) -> dict[str, OpsDone]:
@@ -237,7 +237,7 @@ class BoundSearch:
         configuration = found.configuration
         for op, instance in self.creates.items():
             if op not in state and found.is_allowed and self._awaited.get(instance.role, _NOTHING) <= state:
-                usage = instance.component.resource_usage.items()
+                usage = instance.resource_usage.items()
                 if all(self._excess(configuration, resource, amount) <= 0 for resource, amount in usage):
                     yield state | {op}, self.seconds[op], found.loss, found.limited
         for op, name in self.removes.items():

@@ -318,6 +318,7 @@ class ScriptedBackend:
     def __init__(self, clock: Clock, client: ScriptedClient) -> None:
         self.name = "scripted"
         self.shares_processes = False
+        self.reaches_hosts = False
         self.clock = clock
         self.transport: Transport = PipeNetwork()
         self.launches: list[Launch] = []

@@ -155,6 +155,8 @@ declare namespace Api {
     with_other_nodes?: boolean;
     /** a replaced node of a container starts in the process that it is in, with the same code */
     same_process?: boolean;
+    /** the host that a node is to run on, by node; `manager`: that of the manager */
+    on?: Record<string, string>;
     /** for a plan that is only shown: what it would cost to keep what it degrades */
     explain?: boolean;
   }
@@ -608,7 +610,7 @@ declare namespace Api {
     process: string | null;
     /** of its role: `/` or `/front` */
     namespace: string;
-    /** the computer or container that reports it; null: the manager's */
+    /** of the specification, else the computer or container that reports it; null: the manager's */
     host: string | null;
     /** the full name of its ROS node; null where there is none */
     node: string | null;

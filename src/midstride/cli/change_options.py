@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from midstride.cli import shell_completion
+
 if TYPE_CHECKING:  # completion must not wait for it
     from midstride.model.component import ParameterValue
 
@@ -64,6 +66,11 @@ def same_process_option(function: Any) -> Any:
         "ending with the others if it crashes. Without this option it has a process for itself, with its code on disk."
     )
     return click.option("--same-process", is_flag=True, help=summary)(function)
+
+
+def on_host_option(function: Any) -> Any:
+    summary = "The host that the node is to run on; `manager` is that of the manager."
+    return click.option("--on", "host", metavar="HOST", shell_complete=shell_completion.hosts, help=summary)(function)
 
 
 def parse_pair(text: str, form: str) -> tuple[str, str]:

@@ -17,9 +17,10 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
 from midstride.plan.strategies.registry import planner
-from midstride.runtime.backend_protocol import NAMES_ALL, Backend
+from midstride.runtime.backend_protocol import NAMES_ALL, Backend, DescribedProcess
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.launches import launch_of
+from midstride.runtime.process.reached_hosts import out_of_reach
 from midstride.runtime.workspace import Workspace
 from midstride.wire.environment import ENV_START, ENV_TOKEN
 from midstride.wire.folders import workspace_root
@@ -43,6 +44,7 @@ class DescribedStart(Report, frozen=True, kw_only=True):
 
     node: str
     component: str
+    host: Annotated[str | None, Meta(description="null: that of the manager; else, the environment is not known here")]
     gate: str | None
     once: Annotated[bool, Meta(description="it is to end, and is waited for, after the steps of the others")]
     command: list[str]
@@ -72,10 +74,12 @@ def dry_run(specification: Specification, backend: str, directory: Path, options
 
     Raises PlanRefused where there is no plan, BackendError where the platform cannot be had here.
     """
-    nothing = Configuration(context=specification.context)
-    plan = planner("minimal")(change_between(nothing, specification, specification))
     workspace = _NotCreated(workspace_root() / specification.name)
     platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
+    if (because := out_of_reach(platform, specification)) is not None:
+        raise BackendError(because)
+    nothing = Configuration(context=specification.context)
+    plan = planner("minimal")(change_between(nothing, specification, specification))
     created = [step.action.instance for step in plan.steps if isinstance(step.action, Create)]
     return DryRun(
         system=specification.name,
@@ -101,9 +105,11 @@ def _described(
     environment: dict[str, str | None] = {}
     files: dict[str, str] = {}
     load: tuple[str, ...] = ()
+    host = specification.hosts.get(instance.host)
+    folder = str(directory) if host is None else host.folder or "~"
     try:
         launch = launch_of(instance, platform.name, token=_TOKEN, directory=directory, options=options, topics=topics)
-        found = platform.describe(launch)
+        found = DescribedProcess(launch.arguments) if host is not None else platform.describe(launch)
         command, environment, files, load = list(found.command), found.environment, found.files, found.load
     except BackendError as error:
         because = str(error)
@@ -111,10 +117,11 @@ def _described(
     return DescribedStart(
         node=instance.name,
         component=instance.component.name,
+        host=None if host is None else host.name,
         gate=instance.component.gate,
         once=instance.component.once,
         command=command,
-        directory=str(directory),
+        directory=folder,
         environment=environment,
         files=files,
         load=list(load),
@@ -136,7 +143,7 @@ def lines(found: DryRun) -> Iterator[str]:
         yield f"   {shlex.join(each.command)}"
         if each.names_all:
             yield f"   where {NAMES_ALL}, if it has several"
-        yield f"   in {each.directory}"
+        yield f"   in {each.directory}" + (f" on {each.host}, with its environment" if each.host else "")
         for name, value in each.environment.items():
             yield f"   without {name}" if value is None else f"   with {name}={shlex.quote(value)}"
         if each.load:

@@ -84,7 +84,7 @@ def step_text(step: AnyStep) -> str:
 
     match step:
         case forms.CreateStep():
-            return wording.existence("create", step.instance, step.component)
+            return wording.existence("create", step.instance, step.component, step.host or "")
         case forms.RemoveStep():
             return wording.existence("remove", step.instance, "")
         case forms.AttachStep() | forms.DetachStep():

@@ -67,6 +67,7 @@ def lock_line(lock: ChangeLock) -> str:
 
 def _process(component: InstanceStatus) -> Text:
     process = str(component.pid or "–") + (f" {component.process}" if component.process else "")
+    process += f" on {component.host}" if component.host else ""
     if component.ending:
         return Text(f"{process}, ending", style="dim")
     if component.done:

@@ -147,6 +147,12 @@ def components(context: click.Context, _: str) -> Iterable[str]:
 
 
 @_completer
+def hosts(context: click.Context, _: str) -> Iterable[str]:
+    """The hosts of the system, and the word for that of the manager."""
+    return [*_system(context).get("hosts", {}), "manager"]
+
+
+@_completer
 def functionalities(context: click.Context, _: str) -> Iterable[str]:
     """``NODE.FUNCTIONALITY``."""
     system = _system(context)

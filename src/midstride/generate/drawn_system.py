@@ -129,10 +129,11 @@ class _Builder:
             if self.annotate:
                 lines += [f"  {mode.name}: {_mode(mode)}" for mode in functionality.modes]
         title = role if component.name.lower() == role.lower() else f"{role} : {component.name}"
-        container = self.specification.nodes[role].container
+        container, host = self.specification.nodes[role].container, self.specification.nodes[role].host
+        title = f"{title} on {host}" if host and container is None else title
         return Box(
             f"node {role}",
-            title if container is None else f"{title} in {container}",
+            title if container is None else f"{title} in {container}{f' on {host}' if host else ''}",
             inputs=tuple(
                 Port(name, self._note(component.inputs[name]), component.kind_of(name))
                 for name in component.input_order

@@ -27,14 +27,21 @@ _WITH_VALUE: Final = ("-W", "-X")
 
 
 def missing_programs(specification: Specification, folder: Path) -> Iterator[Problem]:
-    """W161 for each `run` that names what is not there; ``folder`` is that of the system's file."""
+    """W161 for each `run` that names what is not there; ``folder`` is that of the system's file.
+
+    What runs on other hosts alone is not looked up: their files are not seen from here.
+    """
     seen = set()
+    here = {node.component for node in specification.nodes.values() if not node.host}
+    elsewhere = {node.component for node in specification.nodes.values()} - here
     for name, shared in sorted(specification.containers.items()):
+        if shared.host:
+            continue
         yield from _container(shared, ("containers", name), f"container {name}")
-    alone = {node.component for node in specification.nodes.values() if node.container is None}
+    alone = {node.component for node in specification.nodes.values() if node.container is None and not node.host}
     for name, component in sorted(specification.components.items()):
         key = component.run, component.package, component.container
-        if component.run is None or key in seen:
+        if component.run is None or key in seen or name in elsewhere:
             continue
         seen.add(key)
         if component.package is not None:

@@ -33,5 +33,5 @@ PUBLIC = (
     "nearest node_names on_one_line printable probation_seconds publishers_count reasons_against rebalanced resolved "
     "resource_key "
     "roles_of same_value satisfies specification_names split_name suggestion to_fraction unknown_name value_fits "
-    "value_kind violations why_it_stays wording"
+    "value_kind violations why_it_stays word_of_host wording"
 )

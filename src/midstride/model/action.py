@@ -116,7 +116,7 @@ class Create(Action):
         return (Remove(self.instance.name),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.existence(self.kind, self.instance.name, self.instance.component.name)
+        return wording.existence(self.kind, self.instance.name, self.instance.component.name, self.instance.host)
 
 
 @dataclass(frozen=True, slots=True)

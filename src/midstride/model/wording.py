@@ -33,9 +33,9 @@ def indefinite(noun: str) -> str:
     return f"{'an' if noun[0] in 'aeio' else 'a'} {noun}"
 
 
-def existence(kind: str, instance: str, component: str = "") -> str:
-    """``create camera_2 (BetterCamera)``, ``remove camera``"""
-    return f"{kind} {instance} ({component})" if component else f"{kind} {instance}"
+def existence(kind: str, instance: str, component: str = "", host: str = "") -> str:
+    """``create camera_2 (BetterCamera)``, ``create gripper_2 (Gripper) on arm``, ``remove camera``"""
+    return f"{kind} {instance}" + (f" ({component})" if component else "") + (f" on {host}" if host else "")
 
 
 def attachment(kind: str, port: str, topic: str) -> str:

@@ -10,8 +10,8 @@ questions about specifications without a plan.
 
 PUBLIC = (
     "Alternative Change Degradation Estimate LevelShift Levels Origin Overlap Plan PlanLowering PlanRequest "
-    "RuntimeValue SET_BY Step Values alternatives change_between decide differences impacts left_behind of_change "
-    "one_by_one overlap planned_instances renamed_components requested_change require require_unbroken_bonds "
+    "RuntimeValue SET_BY Step Values alternatives change_between decide differences impacts left_behind measured_key "
+    "of_change one_by_one overlap planned_instances renamed_components requested_change require require_unbroken_bonds "
     "runtime_value sensitivity setting time_of unmeasured_pair with_time_for_goals with_time_for_state with_times "
     "without_outputs"
 )

@@ -22,6 +22,11 @@ from midstride.plan.estimate import Estimate
 PortAttachment = tuple[PortRef, str]
 
 
+def measured_key(kind: str, instance: Instance) -> str:
+    """The key of how long a creation or removal has taken: of the component, on its host."""
+    return f"{kind} {instance.component.name}{f' on {instance.host}' if instance.host else ''}"
+
+
 @dataclass(frozen=True, slots=True, order=True)
 class Detour:
     """The steps of one role beyond the structural differences (docs/semantics.md section 6).
@@ -43,9 +48,9 @@ class Change:
     capacities and environment. ``baseline`` is ``best`` of it in its original context, ``final`` ``best`` of the
     target. ``pending`` are the functionalities of ``start`` that could be in a better mode, ``lowered`` those that are
     in a worse mode than in ``baseline``. ``measured`` holds how long steps took in earlier runs, by kind
-    (``attach``) or by kind and component (``create Talker``). ``detours`` are part of the other fields already;
-    ``stand_ins`` are the instances among ``coming`` that are also ``leaving``, by name; ``direct`` is the same change
-    without detours.
+    (``attach``) or by kind, component and host (:func:`measured_key`). ``detours`` are part of the other fields
+    already; ``stand_ins`` are the instances among ``coming`` that are also ``leaving``, by name; ``direct`` is the same
+    change without detours.
     """
 
     specification: Specification
@@ -114,7 +119,7 @@ class Change:
         waits = self._container_seconds(instance) if kind == "create" and instance is not None else 0.0
         if kind == "create" and component is not None and component.startup_seconds is not None:
             return Estimate.exactly(component.startup_seconds).plus(waits)
-        own = None if component is None else self.measured.get(f"{kind} {component.name}")
+        own = None if instance is None else self.measured.get(measured_key(kind, instance))
         measured = self.measured.get(kind) if own is None else own
         if kind not in timing and measured is not None:
             found = measured if own is not None else measured.plus(waits)

@@ -23,6 +23,7 @@ from midstride.model.rules import Violation, cap_violation, capacity_violation, 
 from midstride.model.specification import Specification
 from midstride.plan.change import Change, PortAttachment
 from midstride.plan.estimate import Estimate
+from midstride.plan.host_moves import require_same_hosts
 from midstride.plan.request import PlanRequest
 
 
@@ -44,6 +45,7 @@ def change_between(
     had left for a process for itself, which it gets again. Raises PlanRefused where either end does not meet the
     target's caps, capacities, environment or contracts.
     """
+    require_same_hosts(configuration, specification, target)
     connectors, identities = _connectors(configuration, target)
     resources = configuration.context.resources.update(target.resources)
     start = configuration.with_context(SystemContext(connectors, target.environment, resources))
@@ -327,7 +329,7 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     current = instance.parameters
     if set(current) != set(wanted.parameters) or instance.sections != wanted.sections:
         return True
-    if not _loaded_alike(instance.container, wanted.container):
+    if instance.host != wanted.host or not _loaded_alike(instance.container, wanted.container):
         return True
     declared, asked = instance.component.parameters, wanted.component.parameters
     return any(

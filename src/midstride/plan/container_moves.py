@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.load_words import is_intra_process
-from midstride.plan.change import Change
+from midstride.plan.change import Change, measured_key
 from midstride.verdicts.assessment import seconds_in_words
 
 # Containers of rclcpp: all nodes in an executor with several threads, and each in one of its own, which ends before it.
@@ -79,7 +79,7 @@ def _pauses(change: Change) -> Iterator[str]:
 def _known(change: Change, instance: Instance) -> str:
     """Say how long instances of this component took to end, as far as that has been measured."""
     component = instance.component.name
-    if (measured := change.measured.get(f"remove {component}")) is None:
+    if (measured := change.measured.get(measured_key("remove", instance))) is None:
         return f"not measured yet for {component}"
     return f"measured: {component} ended within {seconds_in_words(measured.longest)}"
 

@@ -9,7 +9,7 @@ from typing import Final, Literal, TypeAlias
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.plan import container_moves, explain
+from midstride.plan import container_moves, explain, host_moves
 from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, Levels, follow
 from midstride.plan.explain import Degradation, LevelShift
@@ -94,7 +94,7 @@ class Plan:
             seconds=round(sum(step.seconds for step in steps), DIGITS),
             degraded=tuple(sorted(meter.fallen)),
             certificate=certificate,
-            remarks=tuple(container_moves.in_words(levels.change)),
+            remarks=(*host_moves.in_words(levels.change), *container_moves.in_words(levels.change)),
         )
 
     def configurations(self) -> Iterator[Configuration]:

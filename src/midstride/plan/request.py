@@ -10,6 +10,7 @@ from immutables import Map
 from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue
 from midstride.model.diagnostics import Problem, suggestion, unknown_name
+from midstride.model.hosts import MANAGER, host_in_words, host_of_word
 from midstride.model.name_checks import missing_for_constraints
 from midstride.model.specification import Node, Specification
 from midstride.model.specification_checks import check, check_component, check_node, errors
@@ -27,7 +28,8 @@ class PlanRequest:
     loaded. ``detours``: the strategy ``minimal`` also tries to move nodes that stay, and stand-ins.
     ``explain``: a plan that is only shown says what it would cost to keep what it degrades.
     ``restore``: only raise these functionalities of instances, to these modes. ``parameters``: only set these values at
-    run time, by role.
+    run time, by role. ``on``: the host that a role is to run on, by the words for hosts; without another component, it
+    moves.
     """
 
     replace: tuple[tuple[str, str], ...] = ()
@@ -44,11 +46,12 @@ class PlanRequest:
     restore: tuple[tuple[FunctionalityRef, int], ...] = ()
     parameters: tuple[tuple[str, Map[str, ParameterValue]], ...] = ()
     explain: bool = False
+    on: tuple[tuple[str, str], ...] = ()
 
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""
         if self.to is not None:
-            if self.replace or self.add or self.remove or self.parameters:
+            if self.replace or self.add or self.remove or self.parameters or self.on:
                 raise PlanRefused("give either a whole specification or single changes, not both")
             _well_formed(check(self.to))
             for role in self.restart:
@@ -91,11 +94,16 @@ class PlanRequest:
             require("node", role, target.nodes)
             require("component", name, target.components)
             target = _replaced(target, role, name)
+        for role, word in self.on:
+            require("node", role, target.nodes)
+            target = _on_host(target, role, word, moves=role in self.moved())
         for node in self.add:
             if node.role in target.nodes:
                 raise PlanRefused(f"node {node.role} already exists; replace it, or choose another name")
             target = target.with_node(node)
-        for role in (*(role for role, _ in self.replace), *(node.role for node in self.add)):
+        for role in dict.fromkeys(
+            (*(role for role, _ in (*self.replace, *self.on)), *(node.role for node in self.add))
+        ):
             # Whether the contracts fit is checked by the change itself, for the instances concerned.
             _well_formed(problem for problem in check_node(target, role) if problem.code != "E020")
         return target
@@ -137,6 +145,7 @@ class PlanRequest:
             restart=tuple(map(role, self.restart)),
             remove=tuple(map(role, self.remove)),
             parameters=tuple((role(name), values) for name, values in self.parameters),
+            on=tuple((role(name), host) for name, host in self.on),
         )
 
     def roles(self) -> list[str]:
@@ -171,13 +180,23 @@ class PlanRequest:
 
     def replaced(self) -> list[str]:
         """The roles that are named to get a new instance."""
-        return [*self.restart, *(role for role, _ in self.replace)]
+        return [*self.restart, *(role for role, _ in self.replace), *self.moved()]
+
+    def moved(self) -> list[str]:
+        """The roles that get a new instance for the sake of another host alone."""
+        named = {*self.restart, *(role for role, _ in self.replace)}
+        return [role for role, _ in self.on if role not in named]
 
     def describe(self) -> str:
         """The change in the words of the commands that ask for it."""
         words = [f"remove {role}" for role in self.remove]
         words += [f"restart {role}" for role in self.restart]
-        words += [f"replace {role} with {component}" for role, component in self.replace]
+        hosts = dict(self.on)
+        words += [
+            f"replace {role} with {component}{f' on {hosts[role]}' if role in hosts else ''}"
+            for role, component in self.replace
+        ]
+        words += [f"move {role} to {hosts[role]}" for role in self.moved()]
         words += [f"add {node.role} ({node.component})" for node in self.add]
         if self.to is not None:
             words.append(f"apply {self.to.name}")
@@ -218,3 +237,19 @@ def _replaced(target: Specification, role: str, name: str) -> Specification:
             "use `apply` with a specification without that constraint"
         )
     return target
+
+
+def _on_host(target: Specification, role: str, word: str, *, moves: bool) -> Specification:
+    """``target`` with the node on the host of that word; ``moves``: that is all that is asked for."""
+    require("host", word, {*target.hosts, MANAGER})
+    node, host = target.nodes[role], host_of_word(word)
+    if node.container is not None and node.host != host:
+        raise PlanRefused(
+            f"{role} is loaded by container {node.container}, which is on {host_in_words(node.host)}, and moves with "
+            f"it: use `apply` with a specification that has the container on {word}"
+        )
+    if moves and node.host == host:
+        raise PlanRefused(
+            f"{role} is on {host_in_words(host)} already; `midstride restart {role}` starts it again there"
+        )
+    return target.with_node(replace(node, host=host))

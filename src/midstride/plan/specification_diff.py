@@ -7,6 +7,7 @@ in place.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, Literal, TypeVar
 
 from immutables import Map
@@ -24,6 +25,7 @@ from midstride.model.component import (
     same_value,
 )
 from midstride.model.contract import ConnectorKind, format_number
+from midstride.model.hosts import HostSpec, host_in_words, word_of_host
 from midstride.model.specification import Node, Specification
 from midstride.model.wording import KIND_WORDS
 
@@ -51,6 +53,7 @@ def differences(old: Specification, new: Specification, renewed: Mapping[str, st
     was, will = ({offer.name: offer for offer in specification.environment} for specification in (old, new))
     return [
         *_connectors(old.connectors, new.connectors),
+        *_compared("host", old.hosts, new.hosts, lambda host: (f"ssh {host.ssh}",), _host),
         *_compared(
             "resource",
             old.resources,
@@ -107,6 +110,12 @@ def _connector(before: Connector, after: Connector) -> Iterator[str]:
             "any number" if cap is None else f"at most {cap}" for cap in (before.max_publishers, after.max_publishers)
         ]
         yield _became("publishers", *allowed)
+
+
+def _host(before: HostSpec, after: HostSpec) -> Iterator[str]:
+    for word in ("ssh", "setup", "folder"):
+        if getattr(before, word) != getattr(after, word):
+            yield _became(word, getattr(before, word), getattr(after, word))
 
 
 def _resource(before: Resource, after: Resource) -> Iterator[str]:
@@ -167,6 +176,7 @@ def _container(component: ComponentSpec) -> str | None:
 def _shared_container(before: ContainerProgram, after: ContainerProgram) -> Iterator[str]:
     for what, old, new in (
         ("run", _program(before), _program(after)),
+        ("on", word_of_host(before.host), word_of_host(after.host)),
         ("prefix", before.prefix, after.prefix),
         ("takes", before.startup_seconds, after.startup_seconds),
         ("stop", _stop(before.stop), _stop(after.stop)),
@@ -294,12 +304,15 @@ def _node(
     if sections := list(_sections(before, after)):
         details += sections
         replaced = True
+    if before.host != after.host:
+        details.append(f"moves from {host_in_words(before.host)} to {host_in_words(after.host)}")
+        replaced = True
     if before.container != after.container:
         details.append(_became("container", before.container, after.container))
         replaced = True
     elif before.container is not None:
         programs = [each.containers.get(before.container, DEFAULT_CONTAINER) for each in (old, new)]
-        if not programs[0].same_process(programs[1]):
+        if not programs[0].same_process(replace(programs[1], host=programs[0].host)):
             details.append(f"container {before.container} has another program or environment")
             replaced = True
     wiring = list(_wiring(before, after))

@@ -224,10 +224,12 @@ class Backend(Protocol):
     """A platform. One without spare processes, or that need not know what a component reports, inherits its methods.
 
     ``shares_processes``: a process may have several nodes, so that :meth:`other_nodes` has to be asked now and then.
+    ``reaches_hosts``: it can start processes on hosts other than the manager's.
     """
 
     name: str
     shares_processes: bool = False
+    reaches_hosts: bool = False
     clock: Clock
     transport: Transport
 

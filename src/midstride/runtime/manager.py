@@ -37,6 +37,7 @@ from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.process.reached_hosts import out_of_reach
 from midstride.runtime.records.change_history import History, SpecificationVersion
 from midstride.runtime.records.change_report import ChangeReport
 from midstride.runtime.records.disk import DISK, Disk
@@ -158,6 +159,8 @@ class Manager:
         running system has another specification or back end; StepFailed if nothing could be started. With the option
         ``strict``, that is so if one component of a system of which none runs cannot be: the others are terminated.
         """
+        if (because := out_of_reach(self._backend, self.specification)) is not None:
+            raise ManagerError(because)
         saved = self._store.load()
         if saved is not None:
             self._client.token = saved.token  # by which the components recognize their manager

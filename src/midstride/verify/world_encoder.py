@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from itertools import combinations
 from typing import Final, TypeVar
 
@@ -51,6 +51,7 @@ class WorldEncoder:
         self.prefix = prefix
         self.components = _AtomsOf[str]("component")
         self.declared: dict[str, ComponentSpec] = {}
+        self.usage: dict[str, Mapping[str, float]] = {}  # what each instance holds, by the keys of the resources
         self.ports = _AtomsOf[PortRef]("port")
         self.functionalities = _AtomsOf[FunctionalityRef]("functionality")
         self.modes: dict[tuple[FunctionalityRef, int], str] = {}
@@ -101,9 +102,11 @@ class WorldEncoder:
         if (known := self.declared.get(name)) is not None:
             if known != component:
                 raise ValueError(f"{name} already exists, with component {known.name} instead of {component.name}")
+            if self.usage[name] != instance.resource_usage:
+                raise ValueError(f"{name} already exists, on another host than {instance.host}")
             return
         atoms = self.atoms
-        self.declared[name] = component
+        self.declared[name], self.usage[name] = component, instance.resource_usage
         atom = atoms.atom("Component", self.prefix + name, name, f"{name}, a {component.name}")
         self.components[name] = atom
         for port in component.ports():
@@ -160,13 +163,9 @@ class WorldEncoder:
 
     def overloads(self) -> None:
         """Add the smallest sets of instances that together exceed a resource."""
-        resources = sorted({name for component in self.declared.values() for name in component.resource_usage})
+        resources = sorted({key for usage in self.usage.values() for key in usage})
         for resource in resources:
-            holds = {
-                name: component.resource_usage[resource]
-                for name, component in sorted(self.declared.items())
-                if resource in component.resource_usage
-            }
+            holds = {name: usage[resource] for name, usage in sorted(self.usage.items()) if resource in usage}
             if len(holds) > _MAX_HOLDERS:
                 raise TooLarge(
                     f"{len(holds)} components hold {resource}, more than the {_MAX_HOLDERS} that can be enumerated"

@@ -52,10 +52,12 @@ class Simulator(Backend):
     """``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On a
     :class:`PacedLoop` it keeps step with real time, and on any other asyncio loop runs in real time; call
     :meth:`shutdown` at the end. All times are in seconds; the same
-    ``seed`` gives the same run. ``logs``: the folder for the output of the components, one file for each.
+    ``seed`` gives the same run. ``logs``: the folder for the output of the components, one file for each. Hosts are
+    names here: all processes run in this one, and what separates hosts is not simulated.
     """
 
     name = "sim"
+    reaches_hosts = True
 
     def __init__(
         self,

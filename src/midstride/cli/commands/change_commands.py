@@ -19,6 +19,7 @@ from midstride.cli.specification_argument import SpecificationPath, absolute, sp
 from midstride.cli.user_name import user_name
 from midstride.codec.form import Document
 from midstride.errors import ChangeForbidden, PlanRefused
+from midstride.model.hosts import host_of_word
 
 if TYPE_CHECKING:  # completion must not wait for it
     from midstride.cli.follow import Sending
@@ -82,27 +83,37 @@ def _components_option(function: Any) -> Any:
 
 @click.command("replace")
 @click.argument("node", shell_complete=shell_completion.nodes)
-@click.argument("component", shell_complete=shell_completion.components)
+@click.argument("component", required=False, shell_complete=shell_completion.components)
+@change_options.on_host_option
 @_components_option
 @change_options.declared_parameters_option
 @change_options.same_process_option
 @request_options
 def replace_command(
     node: str,
-    component: str,
+    component: str | None,
+    host: str | None,
     file: Path | None,
     declared_parameters: bool,
     same_process: bool,
     options: RequestOptions,
 ) -> int:
-    """Replace the component of NODE with COMPONENT, on the same topics."""
+    """Replace the component of NODE with COMPONENT, on the same topics; with --on HOST, on that host.
+
+    Without COMPONENT, --on HOST moves the node as it is: another process of the same program takes over there.
+    """
+    if component is None and (host is None or file is not None):
+        raise click.UsageError("name the COMPONENT that replaces it, or the host that it moves to: --on HOST")
     request = {
-        "replace": [[node, component]],
-        "components": _encoded(_component_of(file, component)),
+        "replace": [] if component is None else [[node, component]],
+        "on": {} if host is None else {node: host},
+        "components": [] if component is None else _encoded(_component_of(file, component)),
         "declared_parameters": declared_parameters,
         "same_process": same_process,
     }
-    return change(options, request, f"replace {node} with {component}")
+    if component is None:
+        return change(options, request, f"move {node} to {host}")
+    return change(options, request, f"replace {node} with {component}{'' if host is None else f' on {host}'}")
 
 
 @click.command("restart")
@@ -142,6 +153,7 @@ def restart_command(
     metavar="NAME=VALUE",
     help="Set a parameter of the node (repeatable); VALUE is read as by `midstride param set`.",
 )
+@change_options.on_host_option
 @_components_option
 @request_options
 def add_command(
@@ -149,6 +161,7 @@ def add_command(
     component: str,
     attachments: tuple[str, ...],
     parameters: tuple[str, ...],
+    host: str | None,
     file: Path | None,
     options: RequestOptions,
 ) -> int:
@@ -165,7 +178,9 @@ def add_command(
             _check_values(parameters, known)
         return {"add": [new], "components": _encoded(declared)}
 
-    return change(options, request, f"add {node} ({component})")
+    if host is not None:
+        new["host"] = host_of_word(host)
+    return change(options, request, f"add {node} ({component}){'' if host is None else f' on {host}'}")
 
 
 def _check_values(parameters: tuple[str, ...], component: ComponentSpec | None) -> None:

@@ -65,7 +65,16 @@ def generate_command(file: Path, output: Path, ros: str) -> int:
     build = "colcon" if ros == "2" else "catkin"
     lines.append(f"Built with {build} and sourced, it starts with `midstride up {name} {file.name}`.")
     lines.append(f"Start it with `midstride up {output / file.name}`.")
-    show({"folder": str(output), "package": name, "files": files, "skipped": generated_project.skipped}, lines)
+    elsewhere = [
+        host for host in sorted(specification.hosts) if any(n.host == host for n in specification.nodes.values())
+    ]
+    for host in elsewhere:
+        roles = ", ".join(role for role, node in sorted(specification.nodes.items()) if node.host == host)
+        lines.append(
+            f"{roles}: on host {host}, where this package has to be built as well; launch itself starts nothing there."
+        )
+    document = {"folder": str(output), "package": name, "files": files, "skipped": generated_project.skipped}
+    show({**document, "hosts": elsewhere} if elsewhere else document, lines)
     return 0
 
 

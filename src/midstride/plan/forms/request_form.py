@@ -58,6 +58,10 @@ class ChangeRequest(Form, frozen=True):
         bool,
         field("a boolean", "a replaced node of a container starts in the process that it is in, with the same code"),
     ] = False
+    on: Annotated[
+        dict[NonEmptyName, NonEmptyName],
+        field("an object of hosts", "the host that a node is to run on, by node; `manager`: that of the manager"),
+    ] = {}
     explain: Annotated[
         bool, field("a boolean", "for a plan that is only shown: what it would cost to keep what it degrades")
     ] = False
@@ -78,6 +82,7 @@ class ChangeRequest(Form, frozen=True):
             with_other_nodes=self.with_other_nodes,
             same_process=self.same_process,
             explain=self.explain,
+            on=tuple(self.on.items()),
         )
 
 

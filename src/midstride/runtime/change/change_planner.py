@@ -35,6 +35,7 @@ from midstride.runtime.change.successor_names import names_after
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.runtime.handover.fences import hanging
 from midstride.runtime.process.component_client import ComponentClient
+from midstride.runtime.process.reached_hosts import out_of_reach
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.other_nodes import OtherNodesWatch
@@ -96,6 +97,8 @@ class ChangePlanner:
             system.specification, system.configuration, values, unknown, measured, orders, away, said, apart
         )
         plan, target = await asyncio.to_thread(_search, request, situation)
+        if (because := out_of_reach(self.others.backend, target)) is not None:
+            raise PlanRefused(because)
         require_arbiters(plan)
         unseen = await require_unmanaged(plan, self.client)
         left = (f"{role} does not run, and this change does not start it: {system.remedy(role)}" for role in away)
@@ -110,7 +113,8 @@ class ChangePlanner:
         if not request.with_other_nodes and (refused := would_end_others(others)) is not None:
             raise PlanRefused(refused)
         handles = system.life.handles
-        pids = {name: handle.pid for name, handle in handles.items() if handle.pid is not None}
+        here = {name for name, instance in system.configuration.instances.items() if not instance.host}
+        pids = {name: handle.pid for name, handle in handles.items() if handle.pid is not None and name in here}
         room = await asyncio.to_thread(lambda: tuple(room_for_copies(plan, pids)))
         states = system.life.latest_states
         # The endpoints that the running components with the API have besides their ports.

@@ -21,6 +21,7 @@ from midstride.errors import (
 )
 from midstride.model.action import Action, Create, Handover, Remove, SetParameters
 from midstride.model.configuration import Configuration
+from midstride.plan.change import measured_key
 from midstride.plan.overlap import Overlap, one_by_one
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.cancellation import run_to_completion
@@ -383,7 +384,7 @@ def _estimates(action: Action, configuration: Configuration, actions: Sequence[A
     match action:
         case Create(instance):  # beside others, a process starts more slowly
             alone = sum(isinstance(each, Create) for each in actions) == 1
-            return f"create {instance.component.name}" if alone else None
+            return measured_key("create", instance) if alone else None
         case Remove(name):
-            return f"remove {configuration.component(name).name}"
+            return measured_key("remove", configuration.instances[name])
     return action.kind

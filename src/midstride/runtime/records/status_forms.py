@@ -175,7 +175,10 @@ class InstanceStatus(Report, frozen=True, kw_only=True):
         Meta(description="the process of that container which it shares; null: it has one for itself"),
     ] = None
     namespace: Annotated[str, Meta(description="of its role: `/` or `/front`")]
-    host: Annotated[str | None, Meta(description="the computer or container that reports it; null: the manager's")]
+    host: Annotated[
+        str | None,
+        Meta(description="of the specification, else the computer or container that reports it; null: the manager's"),
+    ]
     node: Annotated[str | None, Meta(description="the full name of its ROS node; null where there is none")]
     pid: int | None
     reachable: Annotated[bool, Meta(description="it has reported its state in the last 2 s")]

@@ -113,7 +113,7 @@ def instance_status(
         container=None if instance.container is None else instance.container.name,
         process=instance.process or None,
         namespace=namespace_of(instance.role),
-        host=None if state is None or state.host in {"", THIS_HOST} else state.host,
+        host=instance.host or (None if state is None or state.host in {"", THIS_HOST} else state.host),
         node=None if state is None else state.node,
         pid=None if process is None else process.pid,
         reachable=state is not None,

@@ -37,7 +37,7 @@ function written(value) {
 export function stepText(step) {
   switch (step.action) {
     case "create":
-      return `create ${step.instance} (${step.component})`;
+      return `create ${step.instance} (${step.component})${step.host ? ` on ${step.host}` : ""}`;
     case "remove":
       return `remove ${step.instance}`;
     case "attach":

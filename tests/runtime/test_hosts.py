@@ -1,0 +1,109 @@
+"""Systems on several hosts under a manager: carried out on the simulator, refused where the back end has no others."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace as changed
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride.backends.simulator import Simulator
+from midstride.errors import ManagerError, PlanRefused
+from midstride.model.hosts import HostSpec
+from midstride.model.specification import Specification
+from midstride.plan.request import PlanRequest
+from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
+from tests.runtime.systems import EXAMPLES, example, managed, saved
+
+
+class OneHost(Simulator):
+    """Starts processes on the host of the manager alone, as every real platform does so far."""
+
+    name = "one"
+    reaches_hosts = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.launches: list[Launch] = []
+
+    async def start(self, launch: Launch) -> Handle:
+        self.launches.append(launch)
+        return await super().start(launch)
+
+
+class Hosts(OneHost):
+    name = "sim"
+    reaches_hosts = True
+
+
+def on_hosts(**hosts: str) -> Specification:
+    """The talker's example with its nodes on these hosts."""
+    specification = example("talker")
+    declared = Map({name: HostSpec(name, name) for name in ("arm", "base")})
+    nodes = specification.nodes
+    for role, host in hosts.items():
+        nodes = nodes.set(role, changed(nodes[role], host=host))
+    return changed(specification, hosts=declared, nodes=nodes)
+
+
+def test_a_node_is_started_on_its_host_and_moves_without_a_missed_message(tmp_path: Path) -> None:
+    platform = Hosts()
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        assert {each.instance: each.host for each in platform.launches} == {"talker": "arm", "listener": ""}
+        assert {each.name: each.host for each in (await manager.status()).instances} == {
+            "talker": "arm",
+            "listener": None,
+        }
+        outcome = await manager.change(PlanRequest(on=(("talker", "base"),)))
+        assert outcome.outcome == "done" and [each.missed for each in outcome.swaps] == [0]
+        assert (platform.launches[-1].instance, platform.launches[-1].host) == ("talker_2", "base")
+        assert manager.specification.nodes["talker"].host == "base"
+        assert manager.configuration.instances["talker_2"].host == "base"
+        (known,) = [each.instance for each in saved(Workspace(tmp_path)).instances if each.instance.role == "talker"]
+        assert known == manager.configuration.instances["talker_2"]
+        back = await manager.change(PlanRequest(on=(("talker", "manager"),)))
+        assert back.outcome == "done" and platform.launches[-1].host == ""
+        moved = on_hosts(talker="arm", listener="arm")
+        outcome = await manager.change(PlanRequest(to=moved))
+        assert outcome.outcome == "done"
+        assert {each.host for each in manager.configuration.instances.values()} == {"arm"}
+
+    managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
+
+
+def test_nothing_is_started_where_the_back_end_reaches_no_other_host(tmp_path: Path) -> None:
+    platform = OneHost()
+
+    async def main() -> None:
+        manager = Manager(on_hosts(talker="arm"), platform, Workspace(tmp_path), EXAMPLES / "talker")
+        with pytest.raises(ManagerError) as refused:
+            await manager.up()
+        assert str(refused.value) == (
+            "the back end one starts processes on the host of the manager alone, so nothing is started: talker on arm"
+        )
+        await manager.close()
+        assert platform.launches == [] and not list(tmp_path.glob("state.db"))
+
+    platform.run(main())
+
+
+def test_a_change_to_another_host_is_refused_likewise_and_hosts_without_nodes_are_not(tmp_path: Path) -> None:
+    platform = OneHost()
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        request = PlanRequest(on=(("talker", "base"),))
+        with pytest.raises(PlanRefused, match="so nothing is started: talker on base"):
+            await manager.plan(request)
+        outcome = await manager.change(request)
+        assert outcome.outcome == "refused" and "talker on base" in str(outcome.because)
+        assert (await manager.change(PlanRequest(to=on_hosts(listener="arm")))).outcome == "refused"
+        assert len(platform.launches) == 2
+        assert (await manager.change(PlanRequest(restart=("talker",)))).outcome == "done"
+        await asyncio.sleep(0)
+
+    managed("talker", tmp_path, body, platform, on_hosts())
