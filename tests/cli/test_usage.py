@@ -132,7 +132,10 @@ def test_a_plan_without_steps_reports_nothing_to_do(capsys: pytest.CaptureFixtur
         (["replace"], "midstride replace: missing argument 'NODE'"),
         (["status", "--systm", "x"], "midstride status: no such option '--systm'. Did you mean '--system'?"),
         (["replace", "talker", "NewTalker"], "not a terminal; pass --yes"),
-        (["plan", TALKER], "midstride plan: nothing to change: pass --to NEW, --replace, --restart, --add, --remove or --on"),
+        (
+            ["plan", TALKER],
+            "midstride plan: nothing to change: pass --to NEW, --replace, --restart, --add, --remove or --on",
+        ),
         (["plan", TALKER, "--replace", "talker"], "`talker` is not of the form NODE=COMPONENT"),
         (["plan", TALKER, "--replace", "=Talker"], "`=Talker` is not of the form NODE=COMPONENT"),
         (["plan", TALKER, "--add", "second"], "`second` is not of the form 'NODE COMPONENT PORT=TOPIC…'"),
