@@ -77,6 +77,7 @@ def test_a_running_system_moves_a_node_and_says_where_it_is(midstride: Midstride
 
     assert hosts() == {"talker": "arm", "listener": None}
     assert " on arm" in midstride("status").out
+    assert midstride("why", "talker.talk").out.splitlines()[0] == "talker.talk on arm is in mode normal"
     done = midstride("replace", "talker", "--on", "base", "--yes")
     assert done.status == 0, done.out + done.err
     assert hosts()["talker"] == "base"

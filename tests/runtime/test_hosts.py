@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from immutables import Map
+from msgspec import UNSET
 
 from midstride.backends.simulator import Simulator
 from midstride.errors import ManagerError, PlanRefused
@@ -59,6 +60,8 @@ def test_a_node_is_started_on_its_host_and_moves_without_a_missed_message(tmp_pa
             "talker": "arm",
             "listener": None,
         }
+        explained = [await manager.why(each) for each in ("talker.talk", "listener.listen")]
+        assert [each.host for each in explained] == ["arm", UNSET]
         outcome = await manager.change(PlanRequest(on=(("talker", "base"),)))
         assert outcome.outcome == "done" and [each.missed for each in outcome.swaps] == [0]
         assert (platform.launches[-1].instance, platform.launches[-1].host) == ("talker_2", "base")

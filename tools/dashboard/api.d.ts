@@ -1695,6 +1695,8 @@ declare namespace Api {
     functionality: string;
     /** of the node: the one that was looked at */
     instance: string;
+    /** of the specification; left out: that of the manager */
+    host?: string;
     mode: string;
     normal: boolean;
     because: string | null;

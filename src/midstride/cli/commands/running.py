@@ -73,7 +73,8 @@ def why_command(functionality: str, system: str | None) -> int:
     why = client.why(functionality)
     role, _, _ = why.functionality.rpartition(".")
     instance = "" if why.instance == role else f" ({why.instance})"
-    lines = [f"{why.functionality}{instance} is in mode {why.mode}"]
+    on = f" on {why.host}" if why.host else ""
+    lines = [f"{why.functionality}{instance}{on} is in mode {why.mode}"]
     lines += [f"  because: {why.because}"] if why.because else []
     lines += [f"  {reason}" for reason in why.chain]
     lines += [f"  next: {remedy}" for remedy in why.remedies]

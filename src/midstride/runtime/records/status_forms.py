@@ -372,6 +372,7 @@ class Why(Report, frozen=True, kw_only=True):
 
     functionality: str
     instance: Annotated[str, Meta(description="of the node: the one that was looked at")]
+    host: Annotated[str | UnsetType, Meta(description="of the specification; left out: that of the manager")] = UNSET
     mode: str
     normal: bool
     because: str | None

@@ -6,6 +6,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
+from msgspec import UNSET
+
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef, InputAlternatives, PortRef
 from midstride.model.configuration import Configuration
@@ -41,6 +43,7 @@ class Explainer:
         return Why(
             functionality=str(_of_role(configuration, ref)),
             instance=ref.instance,
+            host=configuration.instances[ref.instance].host or UNSET,
             mode=mode,
             normal=mode == declared.modes[0].name,
             because=None if reported is None else reported.because,
