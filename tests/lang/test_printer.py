@@ -15,7 +15,7 @@ from midstride.lang.lexer import tokenize
 from midstride.lang.source import Source
 
 SEEDS = Path(__file__).parent / "seeds"
-NAMES = ("patrol.stride", "sensors.stride", "mapping.stride", "fleet.stride")
+NAMES = ("patrol.stride", "sensors.stride", "mapping.stride", "fleet.stride", "hosts.stride")
 SAMPLES = [(SEEDS / name).read_text(encoding="utf-8") for name in NAMES]
 
 
