@@ -13,6 +13,7 @@ from midstride.codec.form import encode
 from midstride.codec.specification_form import decode_specification, encode_specification
 from midstride.lang import format_text
 from midstride.lang.load import load
+from midstride.lang.service import LanguageService
 from midstride.model.component import Resource
 from midstride.model.hosts import HostSpec
 from midstride.model.specification import Specification, initial
@@ -207,3 +208,23 @@ def test_without_hosts_nothing_of_them_is_written(tmp_path: Path) -> None:
     assert "host" not in str(encode(ConfigurationForm.of(initial(specification))))
     moved = replace(specification, nodes=Map())
     assert moved.hosts == Map()
+
+
+def test_an_editor_shows_finds_renames_and_offers_hosts() -> None:
+    file, text = Path("/ws/two.stride"), TEXT + "namespace n on arm { node x : Idle }\n"
+    service = LanguageService(read=lambda path: text)
+    service.open(file, text)
+    lines = text.splitlines()
+    line = lines.index("node gripper : Worker on arm { out -> /grip }") + 1
+    column = lines[line - 1].index("arm") + 2
+    shown = service.hover(file, line, column) or ""
+    assert all(part in shown for part in ("`arm`", "reached as `robot@arm`", "runs `gripper`, `n/x`"))
+    definition = service.definition(file, line, column)
+    assert definition is not None and text[: definition.start].count("\n") == 1
+    edits = service.rename(file, line, column, "left_arm")
+    assert [span.text for span, _ in edits] == ["arm"] * 4 and {new for _, new in edits} == {"left_arm"}
+    offered = {each.word for each in service.complete(file, line, column - 1) if each.kind == "host"}
+    assert offered == {"arm", "base", "manager"}
+    gpu = lines.index("resource gpu on arm = 3") + 1
+    shown = service.hover(file, gpu, len("resource g")) or ""
+    assert "on host arm: capacity 3" in shown and "\ncapacity 2" in shown.replace("- ", "").replace("  ", "")
