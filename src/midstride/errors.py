@@ -22,6 +22,7 @@
     └── ManagerError            the manager cannot do what was asked of it
         ├── ManagerBusy         another command is running
         ├── Superseded          another manager of the system has taken over
+        ├── OtherVersion        the manager is of another version of Midstride, and has not what is asked for
         ├── ChangeForbidden     no change may happen now, as while the system is locked
         └── NoManager           no manager of that system is running
 
@@ -144,6 +145,10 @@ class ManagerError(MidstrideError):
 
 class ManagerBusy(ManagerError):
     """Another command is running; the message says which, and since when."""
+
+
+class OtherVersion(ManagerError):
+    """The manager is of another version of Midstride: it has not what is asked for, or says it in another form."""
 
 
 class Superseded(ManagerError):

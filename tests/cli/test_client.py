@@ -58,7 +58,7 @@ def test_what_a_later_manager_adds_is_ignored() -> None:
     [
         (
             b'{"valid": true}',
-            "missing required field `system`; if another version of Midstride started it, use that",
+            "missing required field `system`): another version of Midstride has started the manager. `midstride up",
         ),
         (b'{"valid": 7}', "Expected `bool`, got `int` - at `$.valid`"),
         (b'{"valid": tr', "the manager exited before it answered"),

@@ -16,7 +16,7 @@ import pytest
 
 from midstride.codec.specification_form import encode_specification
 from midstride.foreign.page import PAGE
-from midstride.foreign.page_layout import VERSION, PageLayout
+from midstride.foreign.page_layout import OLDEST, VERSION, PageLayout
 from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT
 from tests.acceptance.foreign_support import declared_talker, programs_of_the_page
 from tests.acceptance.support import PERIOD, Recorder, components_looked_at, ended, swap_specification
@@ -156,8 +156,8 @@ def test_nodes_whose_gates_another_version_has_made_can_be_ended(midstride: Mids
         file.write((VERSION + 1).to_bytes(4, sys.byteorder))
     refused = midstride("up", str(specification), "-d")
     assert refused.status == 1
-    assert f"has layout {VERSION + 1}, and this version uses {VERSION}" in refused.err
-    assert "end them by `midstride down`, and start the system again" in refused.err
+    assert f"has layout {VERSION + 1}, and this version uses {OLDEST} to {VERSION}" in refused.err
+    assert "use that version, or `midstride down`, and start the system again" in refused.err
     assert all(map(alive, before)), "it goes on"
     down = midstride("down")
     assert down.status == 0, down.err

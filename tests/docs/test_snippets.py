@@ -39,9 +39,10 @@ ON_ROS_2 = {
     "docs/how-to/replace-a-server.md",
     "docs/how-to/services.md",
     "docs/how-to/unmodified-nodes.md",
+    "docs/how-to/upgrade.md",
 }
-# With tens of processes of ROS 2.
-LARGE = {"docs/how-to/nav2.md"}
+# With tens of processes of ROS 2, or commands that another live test runs as well.
+LARGE = {"docs/how-to/nav2.md", "docs/how-to/upgrade.md"}
 RUN = {"sh", "python", "text", "json"}
 # Plain rclpy may hang at its end: then it is killed (s), as a user does, and no later page has its nodes.
 GIVEN_UP = 10

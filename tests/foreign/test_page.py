@@ -17,12 +17,13 @@ import pytest
 from midstride.backends.ros2.manager.foreign_nodes import ForeignNodes
 from midstride.errors import BackendError
 from midstride.foreign.gates import Gates
-from midstride.foreign.page import PAGE, KnownSetting, Page
+from midstride.foreign.page import PAGE, KnownSetting, Page, require_usable
 from midstride.foreign.page_layout import (
     CLOSED,
     INPUT,
     MAGIC,
     NAMES_ONE,
+    OLDEST,
     OPEN,
     OUTPUT,
     ROOM,
@@ -371,20 +372,23 @@ def of_layout(path: Path, version: int, magic: int = MAGIC) -> bytes:
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("version", [VERSION - 1, VERSION + 1])
+@pytest.mark.parametrize("version", [OLDEST - 1, VERSION + 1])
 def test_a_page_of_another_layout_is_refused_by_both_sides_and_left_as_it_is(
     tmp_path: Path, programs: Path, gate_library: Path, version: int
 ) -> None:
     content = of_layout(tmp_path / "page", version)
-    with pytest.raises(BackendError, match=f"has layout {version}, and this version uses {VERSION}: .*midstride down"):
+    refused = f"has layout {version}, and this version uses {OLDEST} to {VERSION}: .*midstride down"
+    with pytest.raises(BackendError, match=refused):
         Page(tmp_path / "page", gate_library)
+    with pytest.raises(BackendError, match=refused):
+        require_usable(tmp_path / "page")
     log = tmp_path / "log"
     log.touch()
     os.truncate(log, 10**6)
     environment = {**os.environ, **variables(tmp_path / "page", programs, gate_library, log, 0)}
     command = [str(programs / "node"), "1", "/chat", "0", "100", "time"]
     done = subprocess.run(command, env=environment, check=True, capture_output=True, timeout=60, text=True)
-    assert f"has no gate: {tmp_path}/page has layout {version}, and {VERSION} is expected" in done.stderr
+    assert f"has no gate: {tmp_path}/page has layout {version}, and {OLDEST} to {VERSION} can be used" in done.stderr
     assert (tmp_path / "page").read_bytes() == content
 
 
@@ -400,14 +404,14 @@ def test_a_node_that_runs_with_an_earlier_layout_is_named_and_goes_on(
     """As after an upgrade of Midstride while its manager was gone."""
     index = lab.node(MS, RATED)
     lab.port(index).gate = OPEN
-    lab.page.layout.version = VERSION - 1
+    lab.page.layout.version = OLDEST - 1
     lab.record("talker", index, ComponentSpec.of("Talker"))
     assert lab.page.path.name == PAGE
     monkeypatch.setenv("XDG_CACHE_HOME", str(gate_library.parents[1]))
 
     async def scenario() -> None:
         nodes = ForeignNodes(lab.page.path.parent, SocketFolder(lab.page.path.parent / "components"), lambda _: None)
-        with pytest.raises(BackendError, match=f"talker cannot be answered for: .* has layout {VERSION - 1}"):
+        with pytest.raises(BackendError, match=f"talker cannot be answered for: .* has layout {OLDEST - 1}"):
             await nodes.adopt("talker")
         await nodes.close()
 

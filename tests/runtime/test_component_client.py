@@ -22,6 +22,7 @@ from midstride.runtime.process.component_client import (
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import AttachCommand, GateCommand, GridCommand, ObserveCommand
 from midstride.wire.frames import (
+    OLDEST,
     PROTOCOL,
     Greeting,
     Registration,
@@ -445,7 +446,7 @@ def test_a_component_that_accepts_no_connection_has_not_exited() -> None:
     play(body)
 
 
-@pytest.mark.parametrize("successor", [Component("second"), Component("second", protocol=PROTOCOL + 1)])
+@pytest.mark.parametrize("successor", [Component("second"), Component("second", protocol=OLDEST - 1)])
 def test_another_component_that_took_the_name_shows_that_the_first_has_exited(successor: Component) -> None:
     async def body(c: Control) -> None:
         c.network.peer = 4711
@@ -557,8 +558,8 @@ def test_a_component_that_comes_back_under_its_name_is_another_one() -> None:
 
 def test_a_component_of_another_version_of_the_protocol_is_refused_with_what_to_do() -> None:
     async def body(c: Control) -> None:
-        await c.start(Component(protocol=PROTOCOL + 1))
-        words = f"talker speaks version {PROTOCOL + 1} of the control protocol.*restart it"
+        await c.start(Component(protocol=OLDEST - 1))
+        words = f"talker speaks version {OLDEST - 1} of the control protocol.*restart it"
         for attempt in (c.client.connect("talker"), c.client.registered("talker"), c.client.observe("talker")):
             with pytest.raises(ProtocolError, match=words):
                 await attempt

@@ -23,9 +23,17 @@ from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.runtime.records import journal_records
 from midstride.runtime.records.change_history import ChangeRecord
 from midstride.runtime.records.change_report import ChangeTimeline
+from midstride.runtime.records.closed_journal import closed_history
 from midstride.runtime.records.disk import Database, Disk, Statement
 from midstride.runtime.records.journal import Journal
-from midstride.runtime.records.journal_records import CHANGES, INCIDENTS, NewChange
+from midstride.runtime.records.journal_records import (
+    CHANGES,
+    EARLIER,
+    INCIDENTS,
+    VERSION,
+    NewChange,
+    require_readable,
+)
 from midstride.runtime.records.measure import SwapReport
 from midstride.runtime.records.reports import Event, Outcome
 from tests.plan.cases import replaced
@@ -561,7 +569,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "its head": overwrite(0, b"\xff" * 200),
     "its pages": overwrite(4096, b"\xff" * 20_000),
     "cut off": lambda path: path.write_bytes(path.read_bytes()[:5000]),
-    "another version": statement("UPDATE about SET value = '99' WHERE key = 'version'"),
+    "no version": statement("UPDATE about SET value = 'one' WHERE key = 'version'"),
 }
 
 
@@ -582,6 +590,53 @@ def test_a_damaged_journal_is_named_and_kept_aside_and_a_new_one_begun(name: str
         await carried_out(found)
         found.close()
         assert len(await changes(journal(tmp_path))) == 1
+
+    run(body)
+
+
+def of_version(version: str, folder: Path) -> None:
+    statement(f"UPDATE about SET value = '{version}' WHERE key = 'version'")(folder / "journal.db")
+
+
+def test_the_journal_of_a_newer_version_is_kept_aside_and_refused_where_asked_before(tmp_path: Path) -> None:
+    async def body() -> None:
+        require_readable(tmp_path / "journal.db")  # there is none yet
+        await three_changes(tmp_path)
+        require_readable(tmp_path / "journal.db")
+        of_version("99", tmp_path)
+        newer = f"a newer version of Midstride wrote it, in form 99, and this one reads up to {VERSION}"
+        with pytest.raises(ManagerError, match=rf"^cannot use the journal {tmp_path}/journal.db: {newer}; use that"):
+            require_readable(tmp_path / "journal.db")
+        with pytest.raises(ManagerError, match=newer):
+            closed_history(tmp_path / "journal.db", 9)
+        found = journal(tmp_path)
+        assert await found.take_over() == []
+        aside = tmp_path / "journal.newer.db"
+        assert found.damaged == (
+            f"the journal {tmp_path}/journal.db cannot be used, as {newer}: it is kept as {aside}, and a new one is "
+            "begun"
+        )
+        found.close()
+        assert aside.exists() and await changes(journal(tmp_path)) == []
+
+    run(body)
+
+
+@pytest.mark.parametrize("version", sorted(EARLIER))
+def test_the_journal_of_an_earlier_version_goes_on(version: str, tmp_path: Path) -> None:
+    async def body() -> None:
+        await three_changes(tmp_path)
+        of_version(version, tmp_path)
+        require_readable(tmp_path / "journal.db")
+        assert len(closed_history(tmp_path / "journal.db", 9).changes) == 3
+        found = journal(tmp_path)
+        assert await found.take_over() == [] and found.damaged is None
+        await carried_out(found)
+        assert len(await changes(found)) == 4
+        found.close()
+        with closing(sqlite3.connect(tmp_path / "journal.db")) as database:
+            rows = database.execute("SELECT value FROM about WHERE key = 'version'").fetchall()
+        assert rows == [(VERSION,)]
 
     run(body)
 
@@ -647,7 +702,7 @@ def test_of_a_torn_journal_the_whole_transactions_are_read(tmp_path: Path) -> No
             interrupted = await left.take_over()
             assert left.unwritten is None
             if left.damaged is not None:  # cut off inside of the first, which creates the tables
-                assert "another version" in left.damaged or "no such table" in left.damaged
+                assert "it has no version" in left.damaged or "no such table" in left.damaged
                 continue
             kept = await changes(left)
             assert [change.number for change in kept] == list(range(1, len(kept) + 1))

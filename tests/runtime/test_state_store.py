@@ -24,7 +24,7 @@ from midstride.model.specification import Order, Specification
 from midstride.runtime.backend_protocol import Handle
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.records.disk import ClosingConnection, Disk
-from midstride.runtime.records.state_store import SavedInstance, StateStore
+from midstride.runtime.records.state_store import VERSION, SavedInstance, StateStore
 from tests.runtime.systems import example
 
 SPECIFICATION = example("talker")
@@ -369,11 +369,10 @@ def test_a_state_that_cannot_be_read_says_what_to_do(path: Path, content: bytes)
 @pytest.mark.parametrize(
     ("statement", "why"),
     [
-        ("UPDATE system SET value = '1' WHERE key = 'version'", "another version of Midstride"),
         ("DELETE FROM system WHERE key = 'token'", "token"),
         ("UPDATE specification SET form = '[]' WHERE section = 'nodes'", "nodes"),
         ("DELETE FROM system WHERE key = 'token'", "it is damaged: it has no 'token'"),
-        ("DELETE FROM system", "another version of Midstride"),
+        ("DELETE FROM system", "it is damaged: it has no version"),
         ("UPDATE system SET value = x'ff' WHERE key = 'token'", "it is damaged: .*UTF-8"),
         ("DELETE FROM specification WHERE section = 'rest'", "system"),
         (f"UPDATE specification SET form = '{DEEP}' WHERE section = 'rest'", "it is damaged: it is nested too deep"),
@@ -419,6 +418,19 @@ def test_a_state_that_makes_no_sense_says_so(path: Path, statement: str, why: st
     words = str(raised.value)
     assert words.startswith(f"cannot read {path}: ") and "Error" not in words
     assert "they keep running" in words and f"{path.parent / 'components'}), then remove the file" in words
+
+
+@pytest.mark.parametrize(("version", "which"), [(VERSION - 1, "an earlier"), (VERSION + 1, "a newer")])
+def test_the_state_of_another_version_says_which_one_to_use(path: Path, version: int, which: str) -> None:
+    begun(path).close()
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE system SET value = ? WHERE key = 'version'", (str(version),))
+    database.close()
+    expected = (
+        f"{which} version of Midstride wrote it, in form {version}, and this one reads {VERSION}. .* keep running"
+    )
+    with pytest.raises(ManagerError, match=expected):
+        StateStore(path).load()
 
 
 def test_what_has_been_written_is_not_written_again(path: Path) -> None:

@@ -14,7 +14,7 @@ from midstride.backends.simulator.virtual_loop import run
 from midstride.errors import CallTimeout, ProtocolError, Unreachable
 from midstride.wire.channel import Channel, ComponentReport
 from midstride.wire.commands import PingCommand
-from midstride.wire.frames import Hello, Reply, Request, decode_from_client, encode
+from midstride.wire.frames import OLDEST, PROTOCOL, Hello, Reply, Request, decode_from_client, encode
 from midstride.wire.pipe import PipeNetwork
 from midstride.wire.transport import Connection
 
@@ -339,7 +339,43 @@ def test_a_component_of_another_version_is_refused() -> None:
     async def newer(connection: Connection) -> None:
         await connection.send(encode(msgspec.structs.replace(GREETING, protocol=99)))
 
-    refused(newer, ProtocolError, "talker speaks version 99 of the control protocol.*restart it")
+    refused(newer, ProtocolError, "talker speaks version 99 of the control protocol.*newer version.*use that one")
+
+
+def test_a_component_of_an_earlier_version_is_spoken_to_in_its_own() -> None:
+    async def main() -> None:
+        network, hellos = PipeNetwork(), []
+
+        async def earlier(connection: Connection) -> None:
+            await connection.send(encode(msgspec.structs.replace(GREETING, protocol=OLDEST)))
+            hello = decode_from_client(await connection.receive() or b"")
+            assert isinstance(hello, Hello)
+            hellos.append(hello.protocol)
+            if hello.protocol != OLDEST:
+                return connection.close()
+            request = await next_request(connection)
+            await connection.send(encode(Reply(id=request.id, revision=1)))
+
+        await network.listen("talker", earlier)
+        channel = await opened(network)
+        assert channel.greeting.protocol == OLDEST and (await channel.request(PingCommand(), timeout=1.0)).ok
+        assert hellos == [PROTOCOL, OLDEST]
+
+    run(main())
+
+
+def test_a_component_that_greets_in_another_version_each_time_is_refused() -> None:
+    async def main() -> None:
+        network, versions = PipeNetwork(), iter((OLDEST, PROTOCOL))
+
+        async def fickle(connection: Connection) -> None:
+            await connection.send(encode(msgspec.structs.replace(GREETING, protocol=next(versions))))
+
+        await network.listen("talker", fickle)
+        with pytest.raises(ProtocolError, match="talker greets in another version of the protocol each time"):
+            await opened(network)
+
+    run(main())
 
 
 def test_what_does_not_greet_first_is_refused() -> None:

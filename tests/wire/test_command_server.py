@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
+import msgspec
 import pytest
 
 from midstride.backends.simulator.virtual_loop import run
@@ -13,9 +14,11 @@ from midstride.wire.channel import Channel, ComponentReport
 from midstride.wire.command_server import HELLO_TIMEOUT, UNDER_WAY, CommandServer, RequestHandler
 from midstride.wire.commands import PingCommand
 from midstride.wire.frames import (
+    OLDEST,
     Hello,
     Reply,
     Request,
+    StateChanged,
     decode_from_component,
     encode,
     encode_value,
@@ -182,6 +185,25 @@ def test_what_does_not_greet_as_a_client_gets_our_greeting_and_the_end(hello: by
         assert (await other.channel.request(PingCommand(), timeout=1.0)).ok
 
     serving(main)
+
+
+def test_a_client_of_an_earlier_version_is_greeted_in_its_own() -> None:
+    async def main(commands: CommandServer, network: PipeNetwork) -> None:
+        connection = await network.connect("memory:talker")
+        await connection.send(encode(Hello(protocol=OLDEST, token="secret")))
+        greeting = decode_from_component(await connection.receive() or b"")
+        assert greeting == msgspec.structs.replace(GREETING, protocol=OLDEST)
+        await connection.send(ping("1"))
+        assert decode_from_component(await connection.receive() or b"") == Reply(id="1", revision=1)
+
+    serving(main)
+
+
+def test_what_has_its_default_is_not_sent_so_that_an_earlier_version_can_read_it() -> None:
+    sent = encode(state(1))
+    assert b'"shown"' not in sent and b'"shown":false' in encode(
+        StateChanged(state=msgspec.structs.replace(state(1).state, shown=False))
+    )
 
 
 def test_garbage_after_the_greeting_ends_that_connection_alone() -> None:

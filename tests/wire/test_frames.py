@@ -67,6 +67,7 @@ from midstride.wire.commands import (
 )
 from midstride.wire.frames import (
     DEEPEST,
+    OLDEST,
     PROTOCOL,
     Greeting,
     Hello,
@@ -404,9 +405,13 @@ def test_a_greeting_of_another_version_says_what_to_do_whatever_else_it_contains
     assert decode_greeting(encode(GREETING)) == GREETING
     newer = {"frame": "welcome", "protocol": PROTOCOL + 1, "instance": "talker", "colour": "red"}
     with pytest.raises(
-        ProtocolError, match=rf"talker speaks version {PROTOCOL + 1} .* this is version {PROTOCOL}: .*restart it"
+        ProtocolError, match=rf"talker speaks version {PROTOCOL + 1} .* speaks {OLDEST} to {PROTOCOL}: .*use that one"
     ):
         decode_greeting(msgspec.json.encode(newer))
+    with pytest.raises(ProtocolError, match=rf"talker speaks version {OLDEST - 1} .*earlier version .*restart it"):
+        decode_greeting(msgspec.json.encode({**newer, "protocol": OLDEST - 1}))
+    earlier = msgspec.structs.replace(GREETING, protocol=OLDEST)
+    assert decode_greeting(encode(earlier)) == earlier
 
 
 @pytest.mark.parametrize(

@@ -1318,6 +1318,8 @@ declare namespace Api {
     version: string;
     pid: number;
     phase: "down" | "failed" | "starting" | "up";
+    /** the version of the control protocol; 0: of one that does not say */
+    protocol: number;
   }
 
   /** A service: its type, and within what time (s) requests are answered. */

@@ -103,6 +103,17 @@ class Client:
         except errors.ManagerError:
             return None
 
+    def activity(self) -> str | None:
+        """The work of a manager of any version, in words; None if it has none, or does not say so."""
+        try:
+            service, view = (json.loads(self._answer(_Request("GET", path))) for path in ("", "/view"))
+            if service.get("phase") == "starting":
+                return "is still bringing it up"
+            running = view.get("running")
+            return None if not running else f"carries out `{running['command']}`"
+        except (errors.MidstrideError, ValueError, KeyError, TypeError, AttributeError):
+            return None
+
     def status(self) -> Status:
         """The running system: the live view, without the change in it."""
         from midstride.runtime.records.status_forms import Status
@@ -189,7 +200,7 @@ class Client:
         """The plan for a request, however long it takes."""
         from midstride.runtime.records.reports import PlannedChange
 
-        return self._form(PlannedChange, "POST", "/plan", request, timeout=None)
+        return self._form(PlannedChange, "POST", "/plan", _stated(request), timeout=None)
 
     def change(self, change: Document, begin: Callable[[], object] = lambda: None) -> Outcome:
         """Carry out a change, and wait until it has been measured.
@@ -198,7 +209,7 @@ class Client:
         """
         from midstride.runtime.records.reports import Outcome
 
-        return self._form(Outcome, "POST", "/change", change, timeout=None, begin=begin)
+        return self._form(Outcome, "POST", "/change", _stated(change), timeout=None, begin=begin)
 
     def down(self, id: str | None = None, begin: Callable[[], object] = lambda: None) -> DownReport:
         """End every component, and then the manager. ``id`` and ``begin`` as for a change."""
@@ -312,10 +323,20 @@ class Client:
         return response
 
 
-def _of_another_version(error: Exception) -> errors.ManagerError:
-    return errors.ManagerError(
-        f"cannot read the manager's answer: {error}; if another version of Midstride started it, use that one"
-    )
+# What to do about a manager that has not the API that is used here.
+_OTHER_VERSION = (
+    "another version of Midstride has started the manager. `midstride up FILE --replace-manager` has this version "
+    "manage the system, and its components go on; or use the `midstride` of that version"
+)
+
+
+def _of_another_version(error: Exception) -> errors.OtherVersion:
+    return errors.OtherVersion(f"cannot read the manager's answer ({error}): {_OTHER_VERSION}")
+
+
+def _stated(request: Document) -> Document:
+    """A request without what is False, as all that may be is without being said: an earlier version may not know it."""
+    return {name: value for name, value in request.items() if value is not False}
 
 
 def _with_query(path: str, query: Mapping[str, Any]) -> str:
@@ -345,6 +366,11 @@ def _error(body: bytes) -> errors.MidstrideError:
         kind, message = str(document["kind"]), str(document["message"])
     except (ValueError, KeyError, TypeError):
         return errors.ManagerError(f"unexpected answer from the manager: {body[:200]!r}")
+    if kind == "NoOperation":
+        return errors.OtherVersion(f"{message}: {_OTHER_VERSION}")
     if kind == "SpecificationError":
-        return errors.SpecificationError(document.get("problems") or [message])
+        problems = document.get("problems") or [message]
+        if any("a request has no key" in str(problem) for problem in problems):
+            return errors.OtherVersion(f"{'; '.join(map(str, problems))}: {_OTHER_VERSION}")
+        return errors.SpecificationError(problems)
     return next((error(message) for error in _KINDS if error.__name__ == kind), errors.ManagerError(message))

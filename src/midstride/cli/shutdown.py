@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 
 import click
 
@@ -11,14 +12,14 @@ from midstride import backends
 from midstride.cli.client import Client
 from midstride.cli.follow import Sending, Sent, explained_when_interrupted
 from midstride.cli.running_systems import find
-from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
+from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager, OtherVersion
 from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.process.child_process import end_orphans
 from midstride.runtime.process.launcher import killed_in_words, stop_times
 from midstride.runtime.records.reports import DownReport, KilledProcess
 from midstride.runtime.records.state_store import SavedInstance, StateStore
-from midstride.runtime.records.status_forms import ChangeLock
+from midstride.runtime.records.status_forms import ChangeLock, Status
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to exit once its system is down (s).
@@ -48,14 +49,20 @@ def stop(client: Client, workspace: Workspace) -> DownReport:
     """Have the manager stop its system, and wait until it has ended; where that is interrupted, say what goes on."""
     sending = Sending()
     with explained_when_interrupted(lambda: _interrupted(sending, client, workspace)):
-        status = client.status()
-        _say_lock(status.lock)
-        if (running := status.running) is not None:
-            what = "ends first" if running.command == "down" else "is broken off and rolled back first"
-            click.echo(f"{workspace.name} is carrying out `{running.command}`, which {what} …", err=True)
-        report = client.down(sending.id, sending.begin)
+        report = DownReport(killed=[])
+        with suppress(OtherVersion):  # it can be told to stop, whatever it says of itself
+            _say_what_is_broken_off(client.status(), workspace)
+        with suppress(OtherVersion):
+            report = client.down(sending.id, sending.begin)
         wait_for_manager_exit(workspace)
     return report
+
+
+def _say_what_is_broken_off(status: Status, workspace: Workspace) -> None:
+    _say_lock(status.lock)
+    if (running := status.running) is not None:
+        what = "ends first" if running.command == "down" else "is broken off and rolled back first"
+        click.echo(f"{workspace.name} is carrying out `{running.command}`, which {what} …", err=True)
 
 
 def _interrupted(sending: Sending, client: Client, workspace: Workspace) -> str:

@@ -5,5 +5,5 @@ PUBLIC = (
     "LifecycleManagers LifecyclePeers NODE NODE_LOOK NamedServer NoAnswer NodeServices OUTPUT OfferedState "
     "OwnNodeSearch PAGE PRELOAD Page PagePort PortFlag RelayOrder RelayPlatform ReportedStates SEND_GOAL SERVER STATE "
     "Served StartedPrograms StatePeers WRITES Within build differing endpoints_seconds forget_component kept_results "
-    "of_services of_topics order_file private_topics run_relay share_requests total typed"
+    "of_services of_topics order_file private_topics require_usable run_relay share_requests total typed"
 )

@@ -29,6 +29,7 @@ from midstride.foreign.page_layout import (
     NODE,
     NODES,
     NOTED,
+    OLDEST,
     OPEN,
     OUTPUT,
     PART_SIZES,
@@ -85,6 +86,28 @@ class KnownSetting(NamedTuple):
     request: bytes
 
 
+def require_usable(path: Path) -> None:
+    """Raises BackendError where the page at ``path`` has a layout that is not used here; there may be none."""
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return
+    try:
+        layout = version_of(file) if os.fstat(file).st_size else VERSION
+    finally:
+        os.close(file)
+    if layout is None or not OLDEST <= layout <= VERSION:
+        raise _unusable(path, layout)
+
+
+def _unusable(path: Path, layout: int | None) -> BackendError:
+    has = f"has layout {layout}, and this version uses {OLDEST} to {VERSION}"
+    return BackendError(
+        f"{path} {'is no page of Midstride' if layout is None else has}: nodes that run with it go on as they are, and "
+        "this version cannot answer for them; use that version, or `midstride down`, and start the system again"
+    )
+
+
 def load_library(path: Path) -> Any:
     """The functions of the library that the manager calls."""
     library = ctypes.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
@@ -125,14 +148,7 @@ class Page:
         except OSError as error:
             raise BackendError(f"the page of the gates, {path}, cannot be used: {error.strerror or error}") from None
         if not self._address:
-            layout = version_of(self._file)
-            has = (
-                "is no page of Midstride" if layout is None else f"has layout {layout}, and this version uses {VERSION}"
-            )
-            raise BackendError(
-                f"{path} {has}: nodes that run with it go on as they are, and this version cannot answer for them; end "
-                "them by `midstride down`, and start the system again"
-            )
+            raise _unusable(path, version_of(self._file))
         self.layout = PageLayout.from_address(self._address)
         self._ports = (PagePort * MOST_PORTS).from_address(self._address + ctypes.sizeof(PageLayout))
         self._requests = (PageRequests * NODES).from_address(self._address + REQUESTS_OFFSET)

@@ -13,6 +13,8 @@ from typing import Final
 
 MAGIC: Final = 0x4D4944535452444E
 VERSION: Final = 20
+# The oldest layout that is used as well, where an earlier version has begun the page.
+OLDEST: Final = 19
 NODES: Final = 512
 BATONS: Final = 1024
 # How many ports a system may have in all, and how many the file has room for at first.

@@ -52,6 +52,7 @@ from midstride.server.requests import (
 from midstride.server.static import dashboard
 from midstride.server.view.live import LiveView
 from midstride.server.view.routes import viewing
+from midstride.wire.frames import PROTOCOL
 
 # No table of the journal has more rows.
 _LARGEST: Final = 2**31 - 1
@@ -128,7 +129,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     async def service() -> Response:
         """The manager that answers, and whether its system is up."""
         name = manager.specification.name
-        return answer(Service(name, backend, __version__, os.getpid(), lifecycle.phase))
+        return answer(Service(name, backend, __version__, os.getpid(), lifecycle.phase, PROTOCOL))
 
     @router.get("/up", responses=answers(UpReport))
     async def up() -> Response:

@@ -40,7 +40,7 @@ class SimulatedDisk(Disk):
         if (connection := self._files.pop(path, None)) is not None:
             connection.close()
 
-    def set_aside(self, path: Path) -> Path:
+    def set_aside(self, path: Path, because: str = "damaged") -> Path:
         self._files.pop(path, None)
         return path
 

@@ -55,17 +55,25 @@ class Channel:
         """Connect, and exchange greetings within ``timeout`` seconds.
 
         Raises Unreachable, CallTimeout (something listens but does not greet, or as ``transport.connect``),
-        ProtocolError (another version).
+        ProtocolError (a version that is not spoken here).
         """
-        connection = await transport.connect(address)
-        try:
-            greeting = await in_time(
-                timeout, _greet(connection, address, token), f"{address} did not greet within {timeout:.3g} s"
-            )
-        except BaseException:
+        protocol = frames.PROTOCOL
+        while True:
+            connection = await transport.connect(address)
+            hello = frames.Hello(protocol=protocol, token=token)
+            try:
+                greeting = await in_time(
+                    timeout, _greet(connection, address, hello), f"{address} did not greet within {timeout:.3g} s"
+                )
+                if greeting.protocol == protocol:
+                    return cls(connection, greeting, report, ended)
+                if protocol != frames.PROTOCOL:
+                    raise ProtocolError(f"{greeting.instance} greets in another version of the protocol each time")
+            except BaseException:
+                connection.close()
+                raise
             connection.close()
-            raise
-        return cls(connection, greeting, report, ended)
+            protocol = greeting.protocol
 
     async def request(self, command: Command[R], *, revision: int | None = None, timeout: float, id: str = "") -> Reply:
         """The reply to one request, whatever it says.
@@ -144,9 +152,9 @@ class Channel:
                 waiting.set_exception(Unreachable(f"{self.greeting.instance} is gone: {words}"))
 
 
-async def _greet(connection: Connection, address: str, token: str) -> frames.Greeting:
+async def _greet(connection: Connection, address: str, hello: frames.Hello) -> frames.Greeting:
     with contextlib.suppress(Unreachable):  # closed at once, which is explained below
-        await connection.send(frames.encode(frames.Hello(protocol=frames.PROTOCOL, token=token)))
+        await connection.send(frames.encode(hello))
     line = await connection.receive()
     if line is None:
         raise Unreachable(f"{address} closed the connection without a greeting: it may accept other users only")

@@ -126,15 +126,28 @@ class CommandServer:
         assert task is not None
         self._connections[connection] = task
         try:
-            await connection.send(frames.encode(self._greeting))
-            hello = await in_time(HELLO_TIMEOUT, self._receive(connection), "the client did not greet")
-            if isinstance(hello, frames.Hello) and hello.protocol == frames.PROTOCOL:  # ours names the right version
+            hello = await self._hello(connection)
+            greeting = self._greeting
+            if isinstance(hello, frames.Hello) and hello.protocol in frames.SPOKEN:
+                # An earlier version refuses any but its own.
+                greeting = structs.replace(greeting, protocol=min(greeting.protocol, hello.protocol))
+                if greeting.protocol < frames.WITH_PLACE:
+                    greeting = structs.replace(greeting, place="")
+            await connection.send(frames.encode(greeting))
+            if isinstance(hello, frames.Hello) and hello.protocol == greeting.protocol:
                 await self._serve_client(_Client(connection), hello.token)
         except (CallTimeout, Unreachable, ProtocolError):
             pass  # the client is gone, or what connected is not a client
         finally:
             del self._connections[connection]
             connection.close()
+
+    async def _hello(self, connection: Connection) -> frames.FromClient | None:
+        """The first frame of the client; None where there is none, or none that can be read."""
+        try:
+            return await in_time(HELLO_TIMEOUT, self._receive(connection), "the client did not greet")
+        except (CallTimeout, ProtocolError):
+            return None
 
     async def _serve_client(self, client: _Client, token: str) -> None:
         for known in (self._registration, self._state):

@@ -55,7 +55,7 @@ CommandKind: TypeAlias = Literal["reading", "changing", "between"]
 LEASE_SLACK: Final = 1.25
 
 
-class Command(WireValue, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
+class Command(WireValue, Generic[R_co], frozen=True, kw_only=True, omit_defaults=True, tag_field="command"):
     """``timeout`` is how long the component may take (s); ``reply`` is the class of its reply."""
 
     kind: ClassVar[CommandKind] = "changing"

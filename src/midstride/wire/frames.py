@@ -1,7 +1,11 @@
 """The envelope of the control plane and its one codec: each frame is a JSON object on a line.
 
-The component greets first, with the version of the protocol; the client answers with its own and with the token of
-the system it acts for. Then the client sends requests, and the component replies and reports its state.
+The client names the version of the protocol that it speaks, and the token of the system it acts for. The component
+greets in that version, if it speaks it, else in its latest; the client then says hello once more, in a new connection.
+Then the client sends requests, and the component replies and reports its state.
+
+Of a command and a state, what has a default is written only where it has another value. So an earlier version reads one
+with a field that was added, as long as that is not used.
 """
 
 from __future__ import annotations
@@ -23,6 +27,12 @@ from midstride.wire.state import ComponentState, Endpoint, WireValue
 # Incremented with every change of a frame, command, reply or event that another version could misread, and of the locks
 # of cuts: where two versions lock different files, both sides of a cut get their lock, and both write.
 PROTOCOL: Final = 12
+# The oldest version that is spoken as well. What another version could misread since then has a default that means what
+# that version does.
+OLDEST: Final = 10
+SPOKEN: Final = range(OLDEST, PROTOCOL + 1)
+# From this version on, a greeting says where the locks of cuts are.
+WITH_PLACE: Final = 12
 # The longest frame (bytes): recorded receipts and exported state included.
 LONGEST_FRAME: Final = 256 * 1024 * 1024
 # How deep lists and objects in a frame may be nested: each version of Python reads so deep, and none much deeper.
@@ -33,7 +43,7 @@ class Frame(WireValue, frozen=True, kw_only=True, tag_field="frame"):
     """One line."""
 
 
-class Greeting(Frame, frozen=True, kw_only=True, tag="greeting"):
+class Greeting(Frame, frozen=True, kw_only=True, omit_defaults=True, tag="greeting"):
     """The component's first frame. ``start_token`` is the token it was started with, empty where started by hand.
 
     ``place``: where its locks of cuts are (:class:`midstride.wire.transport.CutLock`); those of two components exclude
@@ -125,22 +135,35 @@ def encode(frame: Frame) -> bytes:
 
 
 def encode_value(value: WireValue) -> msgspec.Raw:
+    """``value`` as JSON; of a command, without what equals its default: for msgspec, that is the same object."""
+    if isinstance(value, Command):
+        fields = ((field.name, field.default) for field in msgspec.structs.fields(value))
+        same = {name: default for name, default in fields if default == getattr(value, name)}
+        value = msgspec.structs.replace(value, **same)
     return msgspec.Raw(to_json(value))
 
 
 def decode_greeting(line: bytes) -> Greeting:
-    """Raises ProtocolError, which says so where the component speaks another version of the protocol."""
+    """Raises ProtocolError, which says so where the component speaks no version of the protocol that is spoken here."""
     versioned = _decode(_versioned, line, "a greeting")
-    if versioned.protocol != PROTOCOL:
+    if versioned.protocol not in SPOKEN:
         raise ProtocolError(
-            f"{versioned.instance} speaks version {versioned.protocol} of the control protocol, and this is "
-            f"version {PROTOCOL}: it was started with another version of Midstride; restart it (`midstride down` and "
-            "`up`, where the system has started it)"
+            f"{versioned.instance} speaks version {versioned.protocol} of the control protocol, and this version of "
+            f"Midstride speaks {OLDEST} to {PROTOCOL}: {_remedy(versioned.protocol)}"
         )
     frame = _decode(_from_component, line, "a greeting")
     if not isinstance(frame, Greeting):
         raise ProtocolError("the component did not greet first")
     return frame
+
+
+def _remedy(protocol: int) -> str:
+    if protocol > PROTOCOL:
+        return "a newer version of Midstride has started it; use that one"
+    return (
+        "an earlier version of Midstride has started it; use that one, or restart it (`midstride down` and `up`, where "
+        "the system has started it)"
+    )
 
 
 def decode_from_component(line: bytes) -> FromComponent:

@@ -187,7 +187,7 @@ class GoalCounts(WireValue, frozen=True, kw_only=True):
         return self.accepted - self.ended - self.cancelled
 
 
-class ComponentState(WireValue, frozen=True, kw_only=True):
+class ComponentState(WireValue, frozen=True, kw_only=True, omit_defaults=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
     ``differences``: in which way its node is not what is declared, ``undeclared``: its topics that are no ports. Only a
     node without Midstride's API can show these. The same holds for ``serves``, the services and ROS actions that end

@@ -13,6 +13,7 @@ import click
 
 from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
+from midstride.cli import taking_over
 from midstride.cli.input_files import load
 from midstride.cli.specification_argument import absolute
 from midstride.codec.specification_form import encode_specification
@@ -56,6 +57,7 @@ OF_NO_USE: Final = 78
 @click.option("--metrics-file", type=click.Path(path_type=Path))
 @click.option("--foreground", is_flag=True)
 @click.option("--take-over")
+@click.option("--replace-manager", is_flag=True)
 def manager_command(
     file: Path,
     backend: str,
@@ -71,6 +73,7 @@ def manager_command(
     metrics_file: Path | None,
     foreground: bool,
     take_over: str | None,
+    replace_manager: bool,
 ) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives.
 
@@ -132,6 +135,8 @@ def manager_command(
                 raise requested
             take_over = requested.name
         workspace = Workspace.of(take_over)
+        if replace_manager:
+            taking_over.end_earlier(workspace, backend)
         with workspace.lock():
             return backends.run(backend, run())
     except (SpecificationError, ManagerBusy) as error:

@@ -16,6 +16,7 @@ from typing import Final, NoReturn
 import click
 from msgspec import structs
 
+import midstride
 from midstride.cli.client import Client
 from midstride.cli.first_rates import await_rates
 from midstride.cli.follow import FollowedRequest, explained_when_interrupted
@@ -34,11 +35,15 @@ from midstride.errors import ManagerBusy, ManagerError
 from midstride.model.specification import Specification
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.records.reports import UpReport
+from midstride.runtime.records.status_forms import Service
 from midstride.runtime.workspace import Workspace
 from midstride.verdicts.conditions import EXIT_STATUS, not_yet_judged
+from midstride.wire.frames import PROTOCOL
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
 START_TIMEOUT = 30.0
+# How much longer where another one ends before (s).
+TAKE_OVER_TIMEOUT = 40.0
 POLL = 0.02
 _MANAGER: Final = (sys.executable, "-m", "midstride", "_manager")
 _UNBUFFERED: Final = {"PYTHONUNBUFFERED": "1"}
@@ -72,6 +77,11 @@ _BECAUSE: Final = {
     metavar="SYSTEM",
     help="With --foreground: take over what runs of this system, whatever has become of FILE.",
 )
+@click.option(
+    "--replace-manager",
+    is_flag=True,
+    help="End the manager that runs, and have one of this version take over; see docs/how-to/upgrade.md.",
+)
 @json_option
 def up_command(
     file: Path,
@@ -81,6 +91,7 @@ def up_command(
     stop_on_exit: bool,
     foreground: bool,
     take_over: str | None,
+    replace_manager: bool,
 ) -> int:
     """Start the system of FILE and its manager, and watch them. Exit status 3 if not all is up, 1 if nothing is.
 
@@ -94,7 +105,7 @@ def up_command(
         raise click.UsageError(f"{given[0]} and {given[1]} exclude each other: {_BECAUSE[given[1]]}")
     if take_over is not None and not foreground:
         raise click.UsageError("--take-over is for --foreground; without it, the name in FILE is the system's")
-    arguments = options.arguments(file)
+    arguments = [*options.arguments(file), *["--replace-manager"] * replace_manager]
     if foreground and not dry_run:
         if wants_json():
             raise click.UsageError("--foreground prints events, and no document; `midstride log --follow --json` does")
@@ -107,14 +118,15 @@ def up_command(
         return _dry_run(specification, options.backend, absolute(file).parent, started)
     workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
-    if (running := client.service()) is not None:
+    earlier = workspace.manager() if replace_manager else None
+    if earlier is None and (running := client.service()) is not None:
         raise ManagerBusy(
-            f"{workspace.name} is already running (manager process {running.pid}): "
-            "`midstride status` shows it, `midstride apply` changes it, `midstride down` stops it"
+            f"{workspace.name} is already running (manager process {running.pid}): `midstride status` shows it, "
+            f"`midstride apply` changes it, `midstride down` stops it{_of_another_version(running)}"
         )
     workspace.require_room()
     with ended_by_signals() if stop_on_exit else nullcontext() as request:
-        answer = bring_up(client, workspace, arguments)
+        answer = bring_up(client, workspace, arguments, earlier)
         shown = partial(_show_how_it_came_up, client, workspace, specification, file, answer, options)
         if request is not None:
             return stay(client, workspace.name, shown, request)
@@ -123,6 +135,13 @@ def up_command(
     with explained_when_interrupted(lambda: goes_on):
         status = shown()
     return status if detach or wants_json() else watch(client, workspace.name) or status
+
+
+def _of_another_version(running: Service) -> str:
+    """Advise what to do about a manager of another version; empty for one of this version."""
+    if (running.version, running.protocol) == (midstride.__version__, PROTOCOL):
+        return ""
+    return "; it is of another version of Midstride, and `up --replace-manager` has this one manage it while it runs"
 
 
 def _dry_run(specification: Specification, backend: str, directory: Path, options: SystemOptions) -> int:
@@ -187,15 +206,21 @@ def missing_lines(report: UpReport) -> Iterator[str]:
         yield f"Fix the cause, then `midstride restart {' '.join(report.missing)}`. The others go on meanwhile."
 
 
-def bring_up(client: Client, workspace: Workspace, arguments: list[str]) -> UpReport:
-    """Start a manager, show its progress until its system is up, and return its report. Raises the manager's error."""
+def bring_up(client: Client, workspace: Workspace, arguments: list[str], earlier: int | None = None) -> UpReport:
+    """Start a manager, show its progress until its system is up, and return its report. Raises the manager's error.
+
+    ``earlier`` is the process of the manager that it takes over from.
+    """
     log = workspace.manager_log
     try:
         with _interrupt_deferred():  # until the manager's process is known and can be stopped
-            manager = _start(arguments, log)
-        _wait_for_manager(client, manager, log)
+            manager = _start(arguments, log, after=earlier is not None)
+        _wait_for_manager(client, manager, log, earlier)
         return _wait_until_up(client)
     except KeyboardInterrupt:
+        if earlier is not None:  # its components go on
+            click.echo(f"\n{workspace.name} is taken over all the same; `midstride status` shows it.", err=True)
+            raise
         click.echo(f"\nStopping everything started for {workspace.name} …", err=True)
         _undo(client, workspace, manager, log)
         raise
@@ -221,10 +246,11 @@ def _become_manager(arguments: list[str]) -> NoReturn:
     os.execve(command[0], command, {**os.environ, **_UNBUFFERED})
 
 
-def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
-    """Start the manager in a new session, which does not end with this terminal."""
+def _start(arguments: list[str], log: Path, *, after: bool) -> subprocess.Popen[bytes]:
+    """Start the manager in a new session, which does not end with this terminal; ``after`` another one, which logs."""
     with log.open("ab") as output:  # for appending, so that the manager can cut it
-        output.truncate(0)
+        if not after:
+            output.truncate(0)
         return subprocess.Popen(
             [*_MANAGER, *arguments],
             stdin=subprocess.DEVNULL,
@@ -235,12 +261,15 @@ def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
         )
 
 
-def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Path) -> None:
-    """Wait until the manager answers. Raises ManagerError, with the last line of its log, if it exits."""
-    end = time.monotonic() + START_TIMEOUT
+def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Path, earlier: int | None = None) -> None:
+    """Wait until the manager answers, and not the ``earlier`` one, which it ends.
+
+    Raises ManagerError, with the last line of its log, if it exits.
+    """
+    end = time.monotonic() + START_TIMEOUT + (TAKE_OVER_TIMEOUT if earlier is not None else 0.0)
     while time.monotonic() < end:
         service = client.service()
-        if service is not None:
+        if service is not None and service.pid != earlier:
             if service.pid != manager.pid:
                 raise ManagerBusy(f"another manager of this system was just started (process {service.pid})")
             return
@@ -249,7 +278,7 @@ def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Pat
             raise ManagerError(lines[-1].removeprefix("midstride: "))
         time.sleep(POLL)
     manager.kill()
-    raise ManagerError(f"the manager did not answer within {START_TIMEOUT:g} s; see {log}")
+    raise ManagerError(f"the manager did not answer in time; see {log}")
 
 
 def _wait_until_up(client: Client) -> UpReport:

@@ -31,8 +31,8 @@ struct page *map_page(int file, uint32_t *version)
   if (pread(file, &head, sizeof head, 0) != sizeof head || head.magic != PAGE_MAGIC)
     return NULL;
   *version = head.version;
-  if (head.version != PAGE_VERSION || head.size != sizeof(struct page) || head.node_size != sizeof(struct node) ||
-      head.port_size != sizeof(struct port) || fstat(file, &status) != 0 ||
+  if (head.version < PAGE_OLDEST || head.version > PAGE_VERSION || head.size != sizeof(struct page) ||
+      head.node_size != sizeof(struct node) || head.port_size != sizeof(struct port) || fstat(file, &status) != 0 ||
       status.st_size < (off_t)length_with(head.room))
     return NULL;
   size_t most = length_with(MOST_PORTS) + NODES * sizeof(struct requests);

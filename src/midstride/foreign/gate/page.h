@@ -20,6 +20,7 @@
 
 #define PAGE_MAGIC UINT64_C(0x4d4944535452444e)
 #define PAGE_VERSION 20 /* counted up whenever the meaning or the place of a field changes */
+#define PAGE_OLDEST 19  /* the oldest that is used as well: each part has the same place, and what is new is 0 there */
 #define NODES 512      /* fewer than the word of a baton can name */
 #define BATONS 1024
 #define MOST_PORTS 65536

@@ -39,9 +39,9 @@ __attribute__((constructor)) static void join(void)
   if (!page) {
     close(file);
     dprintf(STDERR_FILENO,
-            "midstride: this process has no gate: %s has layout %u, and %d is expected; end it by `midstride down` of the "
-            "version that started it\n",
-            path, version, PAGE_VERSION);
+            "midstride: this process has no gate: %s has layout %u, and %d to %d can be used; end it by `midstride down` of "
+            "the version that started it\n",
+            path, version, PAGE_OLDEST, PAGE_VERSION);
     return;
   }
   descriptor = file;

@@ -26,7 +26,7 @@ from midstride.runtime.instance_life import ANSWER_TIMEOUT, STOPPED, ConnectionE
 from midstride.runtime.manager_clock import Clock
 from midstride.wire.channel import Channel, ComponentReport, result_of
 from midstride.wire.commands import Command, ObserveCommand
-from midstride.wire.frames import Greeting, Registration, Reply
+from midstride.wire.frames import PROTOCOL, WITH_PLACE, Greeting, Registration, Reply
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -92,7 +92,10 @@ class ComponentClient:
 
         Raises BackendError where one cannot be reached.
         """
-        places = [(await self._channel(each)).greeting.place for each in (instance, other)]
+        greetings = [(await self._channel(each)).greeting for each in (instance, other)]
+        if any(each.protocol < WITH_PLACE for each in greetings):  # it does not say; nor does it know of leases
+            return True
+        places = [each.place for each in greetings]
         return places[0] != "" and places[0] == places[1]
 
     async def connect(self, instance: str) -> Greeting:
@@ -116,6 +119,11 @@ class ComponentClient:
                 return greeting, await asyncio.shield(self._registrations[instance])
             except Unreachable:
                 continue  # it exited before it registered; another process may start under the same name
+
+    def protocol(self, instance: str) -> int:
+        """The version of the control protocol that is spoken with the component; ours while it is not connected."""
+        channel = self._channels.get(instance)
+        return PROTOCOL if channel is None else channel.greeting.protocol
 
     def endpoints(self, instance: str) -> list[Endpoint]:
         """The endpoints that the component's node had besides its ports when it registered; none before that."""

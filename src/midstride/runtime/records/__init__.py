@@ -9,5 +9,6 @@ PUBLIC = (
     "PortStatus ProgramStatus Rehearsal RehearsalOrder RehearsedSeed RequirementStatus RespawnStatus RunningCommand "
     "SAME_MODE SavedInstance SavedState Service SilenceFault SilenceKind SpareStatus SpecificationVersion StateMove "
     "StateStore Statement Status StepTime SwapReport TopicStatus UnixTime UpReport WINDOW_PERIODS Wakers Why "
-    "closed_history closed_report in_order killed_processes mode_level report reports status_forms unknown_report"
+    "closed_history closed_report in_order killed_processes mode_level report reports require_readable status_forms "
+    "unknown_report"
 )

@@ -153,9 +153,9 @@ class Disk:
         for suffix in _FILES:
             path.with_name(path.name + suffix).unlink(missing_ok=True)
 
-    def set_aside(self, path: Path) -> Path:
-        """Keep a damaged database under another name, instead of an earlier one; returns that name."""
-        aside = path.with_name(f"{path.stem}.damaged{path.suffix}")
+    def set_aside(self, path: Path, because: str = "damaged") -> Path:
+        """Keep a database that cannot be used under another name, instead of an earlier one; returns that name."""
+        aside = path.with_name(f"{path.stem}.{because}{path.suffix}")
         self.remove(aside)
         for suffix in _FILES:
             with suppress(FileNotFoundError):

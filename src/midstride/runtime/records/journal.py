@@ -239,7 +239,7 @@ class Journal:
         found = database.read("PRAGMA quick_check(1)")[0][0]
         if found != "ok":
             raise sqlite3.DatabaseError(found)
-        journal_records.check_version(database)
+        journal_records.bring_forward(database)
 
     def _disconnect(self) -> None:
         if self._database is not None:
@@ -249,8 +249,10 @@ class Journal:
     def _keep_aside(self, error: Exception) -> str:
         self._disconnect()
         self._lease.renew()
-        aside = self._disk.set_aside(self.path)
-        self.damaged = f"the journal {self.path} was damaged ({error}): it is kept as {aside}, and a new one is begun"
+        newer = isinstance(error, journal_records.NewerJournal)
+        aside = self._disk.set_aside(self.path, "newer" if newer else "damaged")
+        why = f"cannot be used, as {error}" if newer else f"was damaged ({error})"
+        self.damaged = f"the journal {self.path} {why}: it is kept as {aside}, and a new one is begun"
         return self.damaged
 
 

@@ -10,23 +10,27 @@ import hashlib
 import sqlite3
 import time
 from collections.abc import Container
+from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import msgspec
 
 from midstride.codec.parameter import from_json
 from midstride.codec.specification_form import SpecificationForm, decode_saved_specification
-from midstride.errors import MidstrideError
+from midstride.errors import ManagerError, MidstrideError
 from midstride.model.specification import Specification
 from midstride.plan.estimate import Estimate
 from midstride.plan.forms.plan_forms import PlanPreview
 from midstride.plan.runtime_values import Values
-from midstride.runtime.records.disk import Database, Statement
+from midstride.runtime.records.disk import DISK, Database, Statement
 
 # What is raised where the journal cannot be used: by the disk, and by what is in the file.
 FAILURES: Final = (sqlite3.Error, OSError, MidstrideError, ValueError, TypeError, RecursionError)
 VERSION: Final = "2"
+# The versions whose tables are the same; what differs in a row is read as far as it can be.
+EARLIER: Final = frozenset({"1"})
 CHANGES: Final = 200
 INCIDENTS: Final = 2_000
 DURATIONS: Final = 2_000
@@ -103,10 +107,39 @@ class Interrupted:
         return f"the manager ended during step{several} of {self.steps}"
 
 
+class NewerJournal(sqlite3.DatabaseError):
+    """A newer version of Midstride wrote the journal."""
+
+
 def check_version(database: Database) -> None:
-    """Raises sqlite3.DatabaseError for a journal of another version, or a file that is none."""
-    if database.read("SELECT value FROM about WHERE key = 'version'") != [(VERSION,)]:
-        raise sqlite3.DatabaseError("another version of Midstride wrote it")
+    """Raises NewerJournal, and sqlite3.DatabaseError for a file that is no journal."""
+    found = database.read("SELECT value FROM about WHERE key = 'version'")
+    version = str(found[0][0]) if found else ""
+    if version == VERSION or version in EARLIER:
+        return
+    if not version.isdecimal() or int(version) < int(VERSION):
+        raise sqlite3.DatabaseError("it has no version of a journal")
+    raise NewerJournal(f"a newer version of Midstride wrote it, in form {version}, and this one reads up to {VERSION}")
+
+
+def bring_forward(database: Database) -> None:
+    """Make a journal of an earlier version one of this. Raises as :func:`check_version` does, and if it is refused."""
+    check_version(database)
+    earlier = ", ".join(f"'{version}'" for version in sorted(EARLIER))
+    database.write([(f"UPDATE about SET value = ? WHERE key = 'version' AND value IN ({earlier})", (VERSION,))])
+
+
+def require_readable(path: Path) -> None:
+    """Raises ManagerError where a newer version of Midstride wrote the journal at ``path``; one may be missing."""
+    try:
+        database = DISK.read_only(path)
+        if database is not None:
+            with closing(database):
+                check_version(database)
+    except NewerJournal as error:
+        raise ManagerError(f"cannot use the journal {path}: {error}; use that version") from error
+    except FAILURES:  # a damaged one is kept aside
+        pass
 
 
 def beginning(database: Database, change: NewChange) -> tuple[int, list[Statement]]:

@@ -142,8 +142,8 @@ class StateStore:
                 system = dict(database.read("SELECT key, CAST(value AS TEXT) FROM system"))
                 if not system and database.read("PRAGMA user_version") == [(0,)]:
                     return None  # killed before `begin`: no component had the token
-                if system.get("version") != str(VERSION):
-                    raise self._unreadable("another version of Midstride wrote it")
+                if (version := system.get("version", "")) != str(VERSION):
+                    raise self._of_another_version(version)
                 parts = database.read("SELECT section, name, form FROM specification")
                 rows = database.read("SELECT form, handle FROM instances ORDER BY name")
             carried = msgspec.json.decode(system.get(_CARRIED, "{}"), type=dict[str, dict[str, Any]])
@@ -185,6 +185,16 @@ class StateStore:
                     "if its disk is full, then try again"
                 ) from error
             raise self._unreadable(f"it is damaged: {error}") from error
+
+    def _of_another_version(self, version: str) -> ManagerError:
+        if not version.isdecimal():
+            return self._unreadable("it is damaged: it has no version")
+        which = "a newer" if int(version) > VERSION else "an earlier"
+        return ManagerError(
+            f"cannot read {self.path}: {which} version of Midstride wrote it, in form {version}, and this one reads "
+            f"{VERSION}. The components that were started keep running: use that version to manage them, or stop them "
+            "by its `midstride down` before `up` of this one"
+        )
 
     def _unreadable(self, why: str) -> ManagerError:
         folder = self.path.parent

@@ -40,6 +40,7 @@ class Service(Report, frozen=True):
     version: str
     pid: int
     phase: Phase
+    protocol: Annotated[int, Meta(description="the version of the control protocol; 0: of one that does not say")] = 0
 
 
 class FunctionalityStatus(Report, frozen=True, kw_only=True):

@@ -22,14 +22,14 @@ from midstride.plan.runtime_values import of_change
 from midstride.plan.state_continuity import left_behind
 from midstride.plan.strategies.registry import planner
 from midstride.plan.strategies.restore import restore
-from midstride.runtime.backend_protocol import Exited, Handle
+from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.handover.state_transfers import has_left_state, import_state, keeps_state
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.process.answering_instance import have_answer
-from midstride.runtime.process.reaper import process_info
 from midstride.runtime.records.journal_records import Interrupted
 from midstride.runtime.records.state_store import LeftState, SavedState
+from midstride.runtime.restore.earlier_system import require_same_platform
 from midstride.runtime.restore.half_done import HalfDone
 from midstride.runtime.restore.half_done_values import HalfDoneValues
 from midstride.runtime.restore.recovery import recover
@@ -204,11 +204,7 @@ class BringUp:
         Returns the roles of components that are started by hand and do not run: nothing can restore these. Raises
         ManagerError if a component hangs, or the earlier manager ran another system.
         """
-        if saved.backend != self.backend:
-            raise ManagerError(
-                f"{self.workspace} runs on {saved.backend}; use that back end, or `midstride down` first"
-            )
-        self._require_same_reach(saved)
+        require_same_platform(saved, self.workspace, self.backend, self.session.backend.reach())
         if saved.specification != self.system.specification:
             raise ManagerError(
                 f"{self.workspace} is running with another specification; "
@@ -263,27 +259,3 @@ class BringUp:
                 await have_answer(self.client, instance.name)
             self.store.write_exported(role, None)
             self.system.exported.pop(role, None)
-
-    def _require_same_reach(self, saved: SavedState) -> None:
-        """Raises ManagerError where components run that this manager cannot reach: in another domain, for example.
-
-        Each would report by its control socket, and what a manager starts or measures would be elsewhere.
-        """
-        mine = self.session.backend.reach()
-        other = {name: value for name, value in saved.reach.items() if mine.get(name, value) != value}
-        running = [entry.instance.name for entry in saved.instances if entry.handle and _runs(entry.handle)]
-        if not (other and running):
-            return
-        theirs = ", ".join(f"{name}={value}" for name, value in other.items())
-        this = ", ".join(f"{name}={mine[name]}" for name in other)
-        them, runs = ("it", "runs") if len(running) == 1 else ("them", "run")
-        raise ManagerError(
-            f"{', '.join(running)} {runs} with {theirs}, and this manager has {this}, so it would not reach {them}: "
-            f"run `midstride up` with {theirs} again, or `midstride down` first"
-        )
-
-
-def _runs(handle: Handle) -> bool:
-    """Return whether the process of ``handle`` runs; False where it is not known."""
-    info = None if handle.pid is None else process_info(handle.pid)
-    return info is not None and info.alive and info.started == handle.started

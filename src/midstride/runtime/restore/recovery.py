@@ -27,6 +27,7 @@ from midstride.runtime.records.state_store import SavedInstance
 from midstride.runtime.restore.half_done import HALF_DONE, HalfDone
 from midstride.runtime.watch.observed_configuration import reported_modes
 from midstride.wire.commands import FenceCommand, GateCommand, RecordCommand, ResolveCutsCommand
+from midstride.wire.frames import PROTOCOL
 from midstride.wire.state import NOT_WELCOMED, ComponentState
 
 
@@ -78,7 +79,7 @@ async def recover(
             just_started.append((instance, state))
             continue
         found[instance.name] = (instance, state)
-        events.add("adopted", f"{instance.name} was reattached unchanged")
+        events.add("adopted", f"{instance.name} was reattached unchanged{_of_earlier_version(client, instance.name)}")
     if hanging:
         raise Unreachable("; ".join(hanging))
     for instance, state in just_started:
@@ -116,6 +117,14 @@ async def recover(
         if inputs := list(instance.component.input_order):
             await client.undo(name, RecordCommand(inputs=inputs, on=False))
     return await _configuration(specification, targets, found, client, done.values())
+
+
+def _of_earlier_version(client: ComponentClient, name: str) -> str:
+    """How the version of the control protocol of the component differs, if it does."""
+    spoken = client.protocol(name)
+    if spoken == PROTOCOL:
+        return ""
+    return f"; it runs with an earlier version of Midstride, and speaks version {spoken} of the control protocol"
 
 
 def _is_asked_for(instance: Instance, other: Instance, specification: Specification) -> bool:
