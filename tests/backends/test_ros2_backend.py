@@ -285,7 +285,7 @@ def test_a_node_without_the_api_that_nobody_can_answer_for_does_not_run(
         async with rig(tmp_path) as r:
             blocked = Path(r.backend.transport.address("talker").removeprefix("unix:"))
             if fault == "its record":
-                blocked = tmp_path / "components" / GATES_FOLDER / "talker.new"
+                blocked = tmp_path / "components" / GATES_FOLDER / "talker.json"
             if fault != "cancelled":
                 (blocked / "a file").mkdir(parents=True)
             sleeping = "import time; time.sleep(600)"

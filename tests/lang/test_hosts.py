@@ -182,6 +182,10 @@ def test_a_file_may_be_included_on_two_hosts_where_its_names_do_not_meet(tmp_pat
                 'write it as `ssh "robot@arm"`; options belong in ~/.ssh/config, under a name of their own',
             ),
         ),
+        (
+            'host other { }\n  folder "/opt" }',
+            ("E124", "}", "this `}` closes host `other` before `folder`, which belongs inside it", "remove it"),
+        ),
     ],
 )
 def test_what_is_wrong_is_said_with_what_to_write(tmp_path: Path, line: str, expected: tuple[str, ...]) -> None:

@@ -126,7 +126,7 @@ class BlockParser(TokenStream):
         word = self.texts[self.i]
         if self.kinds[self.i] != "name" or word not in handlers:
             return False
-        if any(word in outer for _, outer in self._open[:-1]) or "at the top level" in KEYWORD_PLACES[word]:
+        if any(word in outer for _, outer in self._open[:-1]) or "at the top level" in KEYWORD_PLACES.get(word, ""):
             return False
         line, column = self.tokens.source.position(self.tokens.starts[at])
         before = self.tokens.source.line(line)[: column - 1]

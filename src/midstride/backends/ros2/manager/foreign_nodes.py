@@ -577,10 +577,14 @@ class ForeignNodes:
             record = agent.node.record
             in_background(agent.close(), self._closing)
         else:
-            with suppress(BackendError):
-                if (found := ForeignRecord.read(self._folder, instance)) is None:
-                    return
-                record = found
+            try:
+                found = ForeignRecord.read(self._folder, instance)
+            except BackendError as error:
+                log.warning("%s; its part of the page stays taken", error)
+                return
+            if found is None:
+                return
+            record = found
         self.forget(record)
 
     def forget(self, record: ForeignRecord) -> None:
