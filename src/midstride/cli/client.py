@@ -209,7 +209,8 @@ class Client:
         """
         from midstride.runtime.records.reports import Outcome
 
-        return self._form(Outcome, "POST", "/change", _stated(change), timeout=None, begin=begin)
+        change = {**_stated(change), "request": _stated(change["request"])}
+        return self._form(Outcome, "POST", "/change", change, timeout=None, begin=begin)
 
     def down(self, id: str | None = None, begin: Callable[[], object] = lambda: None) -> DownReport:
         """End every component, and then the manager. ``id`` and ``begin`` as for a change."""
@@ -335,8 +336,11 @@ def _of_another_version(error: Exception) -> errors.OtherVersion:
 
 
 def _stated(request: Document) -> Document:
-    """A request without what is False, as all that may be is without being said: an earlier version may not know it."""
-    return {name: value for name, value in request.items() if value is not False}
+    """A request without what is False or an empty object, which is the default of all that may be either.
+
+    An earlier version may not know it.
+    """
+    return {name: value for name, value in request.items() if value is not False and value != {}}
 
 
 def _with_query(path: str, query: Mapping[str, Any]) -> str:
