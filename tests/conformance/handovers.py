@@ -287,8 +287,14 @@ async def cancels_a_cut(lab: Lab) -> None:
     for side in ("new", "old"):
         await lab.change(side, "cancel_cut", cut="second")
     assert (await lab.port("old", "out", "/chatter"))["gate"] == "open"
-    assert (await lab.port("new", "out", "/chatter"))["gate"] == "closed"
-    count = len(await lab.received("sink"))
+    closed = await lab.port("new", "out", "/chatter")
+    assert closed["gate"] == "closed"
+    words = await lab.eventually(
+        "what the new side has written has arrived",
+        lambda: lab.received("sink"),
+        lambda words: sum(word.startswith("new ") for word in words) == closed["count"],
+    )
+    count = len(words)
     await lab.sleep(0.3)
     words = (await lab.received("sink"))[count:]
     assert words and all(word.startswith("old ") for word in words), words
