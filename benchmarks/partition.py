@@ -144,10 +144,11 @@ async def relay_one(path: Path, near: bool, port: int) -> None:
 
 
 async def greets(far: Callable[[], Awaitable[Opened]]) -> bool:
-    """Whether a component listens there: it speaks first."""
+    """Whether a component listens there: it answers any line with its greeting."""
     with contextlib.suppress(OSError, asyncio.TimeoutError):
         async with within(1.0):
             reader, writer = await far()
+            writer.write(b"\n")
             found = await reader.read(1)
             writer.close()
             return bool(found)
