@@ -83,7 +83,12 @@ def test_the_rate_of_a_running_node_is_measured(lab: Lab, made: Made) -> None:
     writes.look()
     times = writes.times("/relay", "/chat")
     assert times is not None and writes.counts("/relay", "/chat")
-    written = [at / 1e9 for writer, _, at in lab.records() if writer == index + 1]
+
+    def recorded() -> list[float]:
+        return [at / 1e9 for writer, _, at in lab.records() if writer == index + 1]
+
+    until(lambda: (recorded() or [0.0])[-1] > times[-1], "what it has written is not recorded")
+    written = recorded()
     first = min(range(len(written)), key=lambda number: abs(written[number] - times[0]))
     found = list(zip(times, written[first:], strict=False))
     assert len(found) == len(times) and all(abs(one - other) < 0.05 for one, other in found), "not of each message"
