@@ -266,7 +266,8 @@ def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Pat
 
     Raises ManagerError, with the last line of its log, if it exits.
     """
-    end = time.monotonic() + START_TIMEOUT + (TAKE_OVER_TIMEOUT if earlier is not None else 0.0)
+    limit = START_TIMEOUT + (TAKE_OVER_TIMEOUT if earlier is not None else 0.0)
+    end = time.monotonic() + limit
     while time.monotonic() < end:
         service = client.service()
         if service is not None and service.pid != earlier:
@@ -278,7 +279,7 @@ def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Pat
             raise ManagerError(lines[-1].removeprefix("midstride: "))
         time.sleep(POLL)
     manager.kill()
-    raise ManagerError(f"the manager did not answer in time; see {log}")
+    raise ManagerError(f"the manager did not answer within {limit:g} s; see {log}")
 
 
 def _wait_until_up(client: Client) -> UpReport:
