@@ -35,6 +35,7 @@ PAGES = sorted(
 ON_ROS_2 = {
     "docs/how-to/bring-your-robot.md",
     "docs/how-to/from-launch-files.md",
+    "docs/how-to/from-rclpy-to-component.md",
     "docs/how-to/nav2.md",
     "docs/how-to/replace-a-server.md",
     "docs/how-to/services.md",
@@ -42,7 +43,7 @@ ON_ROS_2 = {
     "docs/how-to/upgrade.md",
 }
 # With tens of processes of ROS 2, or commands that another live test runs as well.
-LARGE = {"docs/how-to/nav2.md", "docs/how-to/upgrade.md"}
+LARGE = {"docs/how-to/from-rclpy-to-component.md", "docs/how-to/nav2.md", "docs/how-to/upgrade.md"}
 RUN = {"sh", "python", "text", "json"}
 # Plain rclpy may hang at its end: then it is killed (s), as a user does, and no later page has its nodes.
 GIVEN_UP = 10

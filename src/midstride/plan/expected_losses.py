@@ -12,7 +12,7 @@ from midstride.verdicts import assessment, change_facts, unmeasured
 from midstride.verdicts.assessment import Assessment, Assessments
 
 # How long the two transitions of a hand-over between lifecycle nodes without a library may take (s), where the
-# specification states no other time to activate (docs/how-to/unmodified-nodes.md).
+# specification states no other time to activate (docs/how-to/lifecycle-nodes.md).
 DEACTIVATE: Final = 5.0
 ACTIVATE: Final = 5.0
 # How long it may take to ask the nodes for their states meanwhile (s), if the new one fails and the old one returns.
