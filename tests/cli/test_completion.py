@@ -75,7 +75,7 @@ def complete(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str])
     [
         ("re", ["report", "replace", "restart", "remove"]),
         ("--v", ["--version"]),
-        ("check --", ["--strict", "--no-types", "--json", "--help"]),
+        ("check --", ["--strict", "--no-types", "--hosts", "--json", "--help"]),
         ("plan x --strategy ", ["minimal", "paper", "quiesce", "stop"]),
         ("up x --backend r", ["ros2", "ros1"]),
         ("explain E01", [f"E01{digit}" for digit in range(10)]),

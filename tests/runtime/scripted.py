@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Collection, Container, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Container, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 from pathlib import Path
@@ -23,6 +23,7 @@ from midstride.model.action import Action
 from midstride.model.component import ComponentSpec, StopTimes
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import Predicate
+from midstride.model.hosts import HostSpec
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.forms.plan_forms import PlanPreview
@@ -319,6 +320,7 @@ class ScriptedBackend:
         self.name = "scripted"
         self.shares_processes = False
         self.reaches_hosts = False
+        self.hands_over_between_hosts = True
         self.clock = clock
         self.transport: Transport = PipeNetwork()
         self.launches: list[Launch] = []
@@ -340,6 +342,11 @@ class ScriptedBackend:
     async def open(self, on_exit: Callable[[Exited], None]) -> None: ...
 
     async def close(self) -> None: ...
+
+    async def reach_hosts(
+        self, hosts: Mapping[str, HostSpec], token: str, note: Callable[[str], object]
+    ) -> Mapping[str, str]:
+        return {}
 
     def describe(self, launch: Launch) -> DescribedProcess:
         return DescribedProcess(launch.arguments)

@@ -22,7 +22,7 @@ from tests.runtime.systems import EXAMPLES, example, managed, saved
 
 
 class OneHost(Simulator):
-    """Starts processes on the host of the manager alone, as every real platform does so far."""
+    """Starts processes on the host of the manager alone, as on ROS 1."""
 
     name = "one"
     reaches_hosts = False
@@ -75,6 +75,19 @@ def test_a_node_is_started_on_its_host_and_moves_without_a_missed_message(tmp_pa
         outcome = await manager.change(PlanRequest(to=moved))
         assert outcome.outcome == "done"
         assert {each.host for each in manager.configuration.instances.values()} == {"arm"}
+
+    managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
+
+
+def test_a_move_is_refused_where_the_back_end_hands_nothing_over_between_hosts(tmp_path: Path) -> None:
+    platform = Hosts()
+    platform.hands_over_between_hosts = False
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        outcome = await manager.change(PlanRequest(on=(("talker", "base"),)))
+        assert outcome.outcome == "refused"
+        assert "talker would move from host arm to host base by a hand-over" in str(outcome.because)
+        assert (await manager.change(PlanRequest(restart=("talker",)))).outcome == "done"
 
     managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
 

@@ -62,7 +62,12 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
     },
 }
 COMMANDS: Final = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
-HIDDEN: Final = {"_manager": "manage"}
+# What other processes call: command -> (module of midstride.cli.commands, its function).
+HIDDEN: Final = {
+    "_manager": ("manage", "manager_command"),
+    "host": ("host_process", "host_command"),
+    "_host": ("host_process", "serving_command"),
+}
 
 
 class WithoutCommand(click.UsageError):
@@ -98,11 +103,13 @@ class Commands(Group):
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        module = COMMANDS[name][0] if name in COMMANDS else HIDDEN.get(name)
-        if module is None:
+        if name in COMMANDS:
+            module, function = COMMANDS[name][0], f"{name}_command"
+        elif name in HIDDEN:
+            module, function = HIDDEN[name]
+        else:
             return None
-        imported = importlib.import_module(f"midstride.cli.commands.{module}")
-        command = getattr(imported, name.strip("_") + "_command")
+        command = getattr(importlib.import_module(f"midstride.cli.commands.{module}"), function)
         assert isinstance(command, click.Command)
         return command
 

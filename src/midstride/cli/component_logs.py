@@ -42,6 +42,13 @@ def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Pa
     return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
 
 
+def is_of(stem: str, node: str, status: Status | None) -> bool:
+    """Return whether the log with this name is one of ``node``, as :func:`log_files` finds them."""
+    names = () if status is None else (each for each in status.instances if node in (each.container, each.process))
+    own = {dotted_name(each.process or each.name) for each in names}
+    return is_named_after(stem, dotted_name(node)) or stem in own
+
+
 def _log_of_crashed(workspace: Workspace, crashed: CrashedInstance) -> Path:
     """The log of an instance that has crashed; where it has none, that of the latest process of its container."""
     own = workspace.logs / log_file_name(crashed.name)

@@ -9,7 +9,7 @@ from typing import Annotated, Final
 
 from msgspec import Meta
 
-from midstride import backends
+from midstride.cli.platforms import make_backend
 from midstride.codec.form import Report
 from midstride.errors import BackendError
 from midstride.model.action import Create
@@ -75,7 +75,7 @@ def dry_run(specification: Specification, backend: str, directory: Path, options
     Raises PlanRefused where there is no plan, BackendError where the platform cannot be had here.
     """
     workspace = _NotCreated(workspace_root() / specification.name)
-    platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
+    platform = make_backend(backend, workspace, middleware_settings=options.middleware_settings)
     if (because := out_of_reach(platform, specification)) is not None:
         raise BackendError(because)
     nothing = Configuration(context=specification.context)

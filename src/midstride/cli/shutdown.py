@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 
 import click
@@ -11,6 +10,7 @@ import click
 from midstride import backends
 from midstride.cli.client import Client
 from midstride.cli.follow import Sending, Sent, explained_when_interrupted
+from midstride.cli.platforms import make_backend
 from midstride.cli.running_systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager, OtherVersion
 from midstride.model.component import DEFAULT_STOP
@@ -18,7 +18,7 @@ from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.process.child_process import end_orphans
 from midstride.runtime.process.launcher import killed_in_words, stop_times
 from midstride.runtime.records.reports import DownReport, KilledProcess
-from midstride.runtime.records.state_store import SavedInstance, StateStore
+from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.records.status_forms import ChangeLock, Status
 from midstride.runtime.workspace import Workspace
 
@@ -103,23 +103,24 @@ def _stop_left_components(workspace: Workspace) -> list[KilledProcess]:
         store.delete()
         return []
     _say_lock(saved.lock)
-    backend = backends.make(saved.backend, workspace)
-    killed, failures = backends.run(saved.backend, _stop(backend, saved.instances, saved.token))
+    backend = make_backend(saved.backend, workspace)
+    killed, failures = backends.run(saved.backend, _stop(backend, saved))
     if failures:
         raise ManagerError("; ".join(failures))
     store.delete()
     return killed
 
 
-async def _stop(
-    backend: Backend, instances: Sequence[SavedInstance], token: str
-) -> tuple[list[KilledProcess], list[str]]:
+async def _stop(backend: Backend, saved: SavedState) -> tuple[list[KilledProcess], list[str]]:
     """Return what had to be killed, and what failed."""
     await backend.open(lambda _: None)
     killed: list[KilledProcess] = []
     failures: list[str] = []
-    handles = [(entry.handle, entry.instance.started) for entry in instances if entry.handle is not None]
+    handles = [(entry.handle, entry.instance.started) for entry in saved.instances if entry.handle is not None]
     try:
+        used = {handle.host for handle, _ in handles}
+        hosts = {name: host for name, host in saved.specification.hosts.items() if name in used}
+        await backend.reach_hosts(hosts, saved.token, lambda _: None)
         for handle, component in handles:
             name = handle.instance
             try:
@@ -133,7 +134,7 @@ async def _stop(
             except MidstrideError as error:
                 failures.append(f"{name}: {error}")
         try:
-            await end_orphans(token, {handle.instance for handle, _ in handles}, DEFAULT_STOP)
+            await end_orphans(saved.token, {handle.instance for handle, _ in handles}, DEFAULT_STOP)
         except BackendError as error:
             failures.append(str(error))
     finally:

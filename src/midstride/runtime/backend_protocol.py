@@ -7,7 +7,7 @@ are translated here: a back end raises ``BackendError`` and its kinds only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Container, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, Protocol
 from midstride.errors import BackendError
 from midstride.model.component import DEFAULT_STOP, ComponentSpec, ParameterSection, StopTimes
 from midstride.model.contract import Predicate
-from midstride.model.hosts import OWN_HOST
+from midstride.model.hosts import OWN_HOST, HostSpec
 from midstride.model.load_words import LoadWords
 from midstride.model.wording import exception_in
 from midstride.runtime.manager_clock import Clock
@@ -79,12 +79,21 @@ class Launch:
 
 @dataclass(frozen=True, slots=True)
 class Handle:
-    """Identifies the process of a started component, so that a later manager finds it again."""
+    """Identifies the process of a started component, so that a later manager finds it again.
+
+    ``host``: the one that it runs on, where the number, the start and the log are those of that host.
+    """
 
     instance: str
     pid: int | None = None
     started: float | None = None
     log: str | None = None
+    host: str = OWN_HOST
+
+    @property
+    def log_file(self) -> str | None:
+        """The log as `scp` takes it: on another host, after the name of the host."""
+        return f"{self.host}:{self.log}" if self.host and self.log is not None else self.log
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,12 +233,14 @@ class Backend(Protocol):
     """A platform. One without spare processes, or that need not know what a component reports, inherits its methods.
 
     ``shares_processes``: a process may have several nodes, so that :meth:`other_nodes` has to be asked now and then.
-    ``reaches_hosts``: it can start processes on hosts other than the manager's.
+    ``reaches_hosts``: it can start processes on hosts other than the manager's. ``hands_over_between_hosts``: so that
+    an instance on one host takes over from one on another.
     """
 
     name: str
     shares_processes: bool = False
     reaches_hosts: bool = False
+    hands_over_between_hosts: bool = True
     clock: Clock
     transport: Transport
 
@@ -238,6 +249,17 @@ class Backend(Protocol):
 
     async def close(self) -> None:
         """Leave the platform; components keep running."""
+
+    async def reach_hosts(
+        self, hosts: Mapping[str, HostSpec], token: str, note: Callable[[str], object]
+    ) -> Mapping[str, str]:
+        """Connect to these hosts besides: components may be started there from now on. To be called after ``open``.
+
+        ``token`` identifies the system; ``note`` is called with words when a host is lost or reached again. Returns
+        once each has been tried: by host that cannot be reached now, why, and what to do. Raises BackendError where the
+        platform has no other hosts.
+        """
+        return {}
 
     def describe(self, launch: Launch) -> DescribedProcess:
         """Describe the process that :meth:`start` would start, also before ``open``; nothing is started or written.

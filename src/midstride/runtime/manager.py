@@ -166,6 +166,7 @@ class Manager:
             self._client.token = saved.token  # by which the components recognize their manager
             self.system.file, self.system.changed_since = saved.file, saved.changed_since
         await self._backend.open(self._reconciler.on_exit)
+        await self._session.reach_hosts(self.specification)
         self._session.permission.follow(self.specification.requirements)
         self._watch.start()
         self._session.others.start()

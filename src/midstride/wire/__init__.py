@@ -21,5 +21,5 @@ PUBLIC = (
     "SetParametersCommand ShareSlotCommand SharedSlotPlace SharedSlotPort SocketFolder StateTransfer "
     "StopListening THIS_HOST Transport TriggerKind UndeclaredTopic WITH_PLACE WelcomeCommand WireValue commands "
     "duration_in_words environment files_named frames open_socket replies result_of workspace_folder "
-    "workspace_root"
+    "workspace_root Frame INVALID LONGEST_FRAME OLDEST SPOKEN SocketConnection"
 )

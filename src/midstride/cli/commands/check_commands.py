@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,7 +13,7 @@ from midstride.cli.input_files import require_file
 from midstride.cli.output import json_option, show
 from midstride.cli.specification_argument import SpecificationPath
 from midstride.errors import MidstrideError
-from midstride.lang import format_text, load, render
+from midstride.lang import Loaded, format_text, load, render
 from midstride.lang.catalogue import CATALOGUE, explain
 from midstride.lang.diagnostic_text import Diagnostic
 from midstride.lang.message_types import installed
@@ -25,21 +26,34 @@ from midstride.whole_file import write_whole
 @click.argument("files", nargs=-1, required=True, type=SpecificationPath(), metavar="FILE...")
 @click.option("--strict", is_flag=True, help="Treat warnings as errors.")
 @click.option("--no-types", is_flag=True, help="Do not check message types and fields against the installed packages.")
+@click.option("--hosts", is_flag=True, help="Also log in on their hosts by SSH, and check what a system needs there.")
 @json_option
-def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
+def check_command(files: tuple[Path, ...], strict: bool, no_types: bool, hosts: bool) -> int:
     """Check specifications: syntax, names, contracts, and whether every functionality can work.
 
     Every independent error is reported once, at its place; `midstride explain CODE` explains it.
+
+    With --hosts, also whether Midstride, ROS 2 and the programs are on each host; see docs/how-to/several-computers.md.
     """
     messages = None if no_types else installed()
     found: list[Diagnostic] = []
+    loaded: dict[Path, Loaded] = {}
     for file in files:
         require_file(file)
-        found += load(file, messages=messages).diagnostics
+        loaded[file] = load(file, messages=messages)
+        found += loaded[file].diagnostics
     found = list({str(diagnostic): diagnostic for diagnostic in found}.values())  # files may share an include
     bad = any(strict or diagnostic.severity == "error" for diagnostic in found)
     lines = [render(found) if found else f"{', '.join(map(str, files))}: no problems found"]
-    show({"ok": not bad, "diagnostics": [diagnostic.to_json() for diagnostic in found]}, lines)
+    document: dict[str, Any] = {"ok": not bad, "diagnostics": [diagnostic.to_json() for diagnostic in found]}
+    if hosts and not bad:
+        from midstride.cli import checked_hosts
+
+        checked = checked_hosts.check([each.require() for each in loaded.values()])
+        bad = any(each.faults for each in checked)
+        document |= {"ok": not bad, "hosts": [checked_hosts.document(each) for each in checked]}
+        lines += checked_hosts.lines(checked)
+    show(document, lines)
     return int(bad)
 
 

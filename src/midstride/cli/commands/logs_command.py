@@ -14,6 +14,7 @@ from midstride.cli.client import Client
 from midstride.cli.component_logs import (
     Appended,
     ended_since,
+    is_of,
     known_nodes,
     last_lines,
     latest_run,
@@ -21,6 +22,7 @@ from midstride.cli.component_logs import (
     with_local_time,
 )
 from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.remote_logs import RemoteLogs
 from midstride.cli.running_systems import find_records, system_option
 from midstride.errors import ManagerError, MidstrideError
 from midstride.model.diagnostics import suggestion
@@ -60,6 +62,10 @@ def logs_command(node: str, follow: bool, lines: int | None, all_: bool, system:
     workspace = find_records(system)
     client = Client(workspace.socket)
     status = _status(client)
+    remote = RemoteLogs(workspace, lambda stem: is_of(stem, node, status))
+    remote.refresh()
+    for host, because in remote.problems.items():
+        click.echo(f"(the logs of host {host} are as they were read last: {because})", err=True)
     paths = log_files(workspace, node, status)
     if not paths:
         known = known_nodes(workspace, status)
@@ -86,7 +92,7 @@ def logs_command(node: str, follow: bool, lines: int | None, all_: bool, system:
             shown = _show(path, begin, shown, several=len(paths) > 1)
     if follow:
         try:
-            _follow(client, workspace, node, following, shown)
+            _follow(client, workspace, node, following, shown, remote)
         except KeyboardInterrupt:
             return 0
     return 0
@@ -98,9 +104,12 @@ def _earlier(path: Path, node: str, runs: Sequence[str]) -> str:
     return f"({path.stem} was started {runs[-1]}; {earlier}: `midstride logs {node} --all`)"
 
 
-def _follow(client: Client, workspace: Workspace, node: str, following: Appended, shown: Path | None) -> None:
+def _follow(
+    client: Client, workspace: Workspace, node: str, following: Appended, shown: Path | None, remote: RemoteLogs
+) -> None:
     looked = 0.0
     while True:
+        remote.refresh()
         if time.monotonic() - looked > LOOK:
             looked = time.monotonic()
             for path in log_files(workspace, node, _status(client)):

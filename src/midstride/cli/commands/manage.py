@@ -15,6 +15,7 @@ from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
 from midstride.cli import taking_over
 from midstride.cli.input_files import load
+from midstride.cli.platforms import make_backend
 from midstride.cli.specification_argument import absolute
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import ManagerBusy, SpecificationError
@@ -106,7 +107,7 @@ def manager_command(
                 options = saved.options.with_(options)
             if not options.diagnostics:
                 os.environ[ENV_DIAGNOSTICS] = "0"  # components have the manager's environment
-            platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
+            platform = make_backend(backend, workspace, middleware_settings=options.middleware_settings)
             specification = _taken_over(saved, requested, file)
             path = absolute(file)
             of_package = name_of(str(path), os.environ)
@@ -211,6 +212,8 @@ async def _still_running(workspace: Workspace) -> tuple[SavedState | None, Chang
 
 
 def _runs(handle: Handle) -> bool:
+    if handle.host:  # only its host knows
+        return True
     if handle.pid is None:
         return False
     process = process_info(handle.pid)

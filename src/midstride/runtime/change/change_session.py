@@ -10,12 +10,13 @@ import asyncio
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
 from msgspec import UNSET, UnsetType, structs
 
-from midstride.errors import ManagerError, PlanRefused, StepFailed, Superseded
+from midstride.errors import BackendError, ManagerError, PlanRefused, StepFailed, Superseded
 from midstride.model import wording
 from midstride.model.action import Action, Create, Upgrade
 from midstride.model.component import PortRef
@@ -36,6 +37,7 @@ from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.goal_tallies import goal_tallies
 from midstride.runtime.change.lost_endpoints import offered
+from midstride.runtime.change.moves_between_hosts import require_no_moves
 from midstride.runtime.change.other_nodes_losses import nodes_that_ended
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
@@ -88,6 +90,7 @@ class ChangeSession:
     journal: Journal
     verifier: Verifier
     _measured_until: int = 0
+    _unreached: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         shared = self.reconciler
@@ -97,6 +100,17 @@ class ChangeSession:
         self.permission = ChangePermission(self.backend, self.events, self.store)
         self.others = OtherNodesWatch(self.backend, self.system)
         self.planner = ChangePlanner(self.system, self.client, self.monitor, self.journal, self.others)
+
+    async def reach_hosts(self, specification: Specification) -> None:
+        """Connect to the hosts of ``specification``, as far as they can be reached. Raises BackendError."""
+        if not specification.hosts:
+            return
+        known = set(self._unreached)
+        found = await self.backend.reach_hosts(specification.hosts, self.client.token, partial(self.events.add, "note"))
+        self._unreached = dict(found)
+        for host, because in found.items():
+            if host not in known:
+                self.events.add("note", f"host {host} cannot be reached: {because}")
 
     async def change(
         self,
@@ -125,7 +139,10 @@ class ChangeSession:
         try:
             plan, target = await self.planner.plan(request)
             self.store.require()
-        except (PlanRefused, ManagerError) as error:
+            await self.reach_hosts(target)
+            if not self.backend.hands_over_between_hosts:
+                require_no_moves(plan, self.system.configuration)
+        except (PlanRefused, ManagerError, BackendError) as error:
             return self._refuse(str(error))
         verdict: Verdict | UnsetType = UNSET
         if verify:

@@ -275,7 +275,7 @@ class Launcher:
             raise StartFailed(f"{name} was stopped (SIGSTOP) before it registered, and not continued for {STOPPED:g} s")
         where = f"was started with `{run}`" if run else "is started elsewhere"
         handle = self._life[name].handle
-        log = f" Its log: {handle.log}" if handle is not None and handle.log else ""
+        log = f" Its log: {handle.log_file}" if handle is not None and handle.log else ""
         raise StartFailed(
             f"{name} did not register within {waited:g} s (it {where}); does its program "
             f"create a Component and call start()? If it needs longer, state `takes {2 * waited:g} s` after "
@@ -420,7 +420,7 @@ class Launcher:
         except (asyncio.TimeoutError, CallTimeout, Unreachable):
             which, remedy, pid = "", "", handle.pid
             if owned:
-                which = f" (process {pid})"
+                which = f" (process {pid}{f' on host {handle.host}' if handle.host else ''})"
                 remedy = (
                     f": continue it (`kill -CONT {pid}`) or end it (`kill -9 {pid}`), then run `midstride up` again"
                 )

@@ -64,5 +64,5 @@ async def require_spoken(saved: SavedState, transport: Transport) -> None:
 
 def runs(handle: Handle) -> bool:
     """Return whether the process of ``handle`` runs; False where it is not known."""
-    info = None if handle.pid is None else process_info(handle.pid)
+    info = None if handle.pid is None or handle.host else process_info(handle.pid)
     return info is not None and info.alive and info.started == handle.started

@@ -131,7 +131,7 @@ def instance_status(
         deviation="; ".join(_deviations(instance, state, modes, ports, baseline)) or None,
         simulated_time=state is not None and state.simulated_time,
         run=instance.component.run,
-        log_file=None if handle is None else handle.log,
+        log_file=None if handle is None else handle.log_file,
         functionalities=modes,
         ports=ports,
         parameters=[] if state is None else parameters(state),

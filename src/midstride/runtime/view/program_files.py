@@ -109,7 +109,7 @@ class Programs:
         program = None if known is None else known.program
         files: list[FileFingerprint] = []
         changed: list[str] = []
-        if known is not None and program is not None:
+        if known is not None and program is not None and not instance.host:
             if known.named is None:
                 known.named = self._named(instance, program)
             files = [*program.files, *known.named]
@@ -121,7 +121,7 @@ class Programs:
             changed=changed,
             unknown=_unknown(instance, program),
             startable=instance.component.run is not None,
-            executable=self._executable(instance.component),
+            executable=None if instance.host else self._executable(instance.component),
         )
 
     def _named(self, instance: Instance, program: Program) -> list[FileFingerprint]:
@@ -174,6 +174,8 @@ def _module_of(words: Sequence[str]) -> str | None:
 
 
 def _unknown(instance: Instance, program: Program | None) -> str | None:
+    if instance.host:
+        return f"it runs on host {instance.host}: the files there are not compared"
     if program is None:
         return "it has not said which files its program has"
     if instance.component.gate is not None:

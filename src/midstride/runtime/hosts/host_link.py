@@ -1,0 +1,330 @@
+"""The manager's link to one host: connected, or being connected again, with pauses that grow.
+
+While it is down, nothing on the host is known, and nothing is concluded: its components may run. Once it is back, the
+exits that were missed come first. Where it is another host process by then, each component that the manager knows is
+looked for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, TypeVar
+
+import msgspec
+
+from midstride.errors import BackendError, CallTimeout, ProtocolError, Unreachable
+from midstride.model.component import KILL_AT_ONCE
+from midstride.model.hosts import HostSpec
+from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.hosts import call_forms as calls
+from midstride.runtime.hosts import host_frames as frames
+from midstride.runtime.hosts.call_forms import ExitedForm, HandleForm, RemainingForm, StopTimesForm, error_of
+from midstride.runtime.hosts.host_order import HostOrder, HostReport
+from midstride.runtime.hosts.ssh_connection import HostFault, SshConnection
+from midstride.runtime.timeouts import within
+from midstride.wire.frames import INVALID, OLDEST, PROTOCOL, SPOKEN
+from midstride.wire.sockets import SocketConnection, open_socket
+
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+
+# The pauses between attempts to connect (s): the first, the longest, and the part of each that is drawn.
+FIRST_PAUSE: Final = 0.5
+LONGEST_PAUSE: Final = 10.0
+_DRAWN: Final = 0.3
+# How long a host process may take to greet, and to answer a call that does not wait for anything (s).
+GREET_SECONDS: Final = 5.0
+CALL_SECONDS: Final = 30.0
+
+
+class HostLink:
+    """``order``: what the host is asked to serve. ``folder``: of the local sockets. ``token``: the system's, as it is
+    when a connection is made. ``reads``: the link is no manager's, and changes nothing there.
+
+    ``on_exit`` is called with each exit there, ``on_change`` when the link is up or down, with words.
+    """
+
+    def __init__(
+        self,
+        host: HostSpec,
+        order: HostOrder,
+        folder: Path,
+        token: Callable[[], str],
+        on_exit: Callable[[Exited], object],
+        on_change: Callable[[str], object] = lambda _: None,
+        *,
+        reads: bool = False,
+        connect: Callable[[HostSpec, Path], SshConnection] = SshConnection,
+    ) -> None:
+        self.host, self._order, self._folder, self._token = host, order, folder, token
+        self._on_exit, self._on_change = on_exit, on_change
+        self._reads, self._connect = reads, connect
+        self.problem: str | None = "it has not been connected yet"
+        self.report: HostReport | None = None
+        self.state = frames.StateFrame()
+        self.handles: dict[str, HandleForm] = {}  # of the components that run there, as far as is known
+        self.lost: set[str] = set()  # those of which it is not known whether they were started: they are to end
+        self._ssh: SshConnection | None = None
+        self._writer: asyncio.StreamWriter | None = None
+        self._uuid, self._was, self._seen = "", "", 0  # of the host process, of the one before, and its last event
+        self._calls: dict[int, asyncio.Future[frames.ResultFrame]] = {}
+        self._number = 0
+        self._random = random.Random(f"{order.system} {host.name}")
+        self._keeping: asyncio.Task[None] | None = None
+        self._tried = asyncio.Event()  # the first attempt is over
+
+    @property
+    def connected(self) -> bool:
+        return self._writer is not None
+
+    async def open(self) -> None:
+        """Return once the first attempt is over; from then on the link is kept up. See ``problem``."""
+        if self._keeping is None:
+            self._keeping = asyncio.get_running_loop().create_task(self._keep())
+        await self._tried.wait()
+
+    async def close(self) -> None:
+        """Leave the host; its components go on."""
+        if self._keeping is not None:
+            self._keeping.cancel()
+            await asyncio.gather(self._keeping, return_exceptions=True)
+
+    async def _keep(self) -> None:
+        pause = FIRST_PAUSE
+        while True:
+            begun, why = time.monotonic(), ""
+            try:
+                await self._serve_connection()
+                why = "the connection was closed"
+            except (BackendError, OSError) as error:
+                why = str(error)
+            except Exception as error:  # a fault of ours: it is tried again
+                log.exception("the link to %s failed", self.host.name)
+                why = f"{type(error).__name__}: {error}"
+            if time.monotonic() - begun > LONGEST_PAUSE:
+                pause = FIRST_PAUSE
+            if why != self.problem and self._tried.is_set():
+                self._on_change(f"host {self.host.name} cannot be reached: {why}")
+            self.problem = why
+            self._tried.set()
+            await asyncio.sleep(pause * (1 - _DRAWN * self._random.random()))
+            pause = min(2 * pause, LONGEST_PAUSE)
+
+    async def _serve_connection(self) -> None:
+        """Connect, and read until the connection ends. Raises BackendError."""
+        connection = self._connect(self.host, self._folder)
+        try:
+            report = await connection.open(self._order)
+            reader, writer = await _open(connection)
+            try:
+                await self._greet(connection, reader, writer)
+                self.report, self._writer, self._ssh = report, writer, connection
+                reading = asyncio.ensure_future(self._read(reader))
+                ending = asyncio.ensure_future(connection.ended())
+                try:
+                    await self._compare()
+                    await self._end_lost()
+                    was, self.problem = self.problem, None
+                    if self._tried.is_set():
+                        self._on_change(f"host {self.host.name} is reached again (before: {was})")
+                    self._tried.set()
+                    await asyncio.wait({reading, ending}, return_when=asyncio.FIRST_COMPLETED)
+                    if ending.done():
+                        raise Unreachable(ending.result())
+                    reading.result()
+                finally:
+                    for task in (reading, ending):
+                        task.cancel()
+                    await asyncio.gather(reading, ending, return_exceptions=True)
+            finally:
+                self._writer = self._ssh = None
+                writer.close()
+                self._fail_calls()
+        finally:
+            await connection.close()
+
+    async def _greet(
+        self, connection: SshConnection, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        greeting = await _greeting(connection, reader)
+        self._require(greeting)
+        hello: frames.FromManager = frames.ReaderHello(protocol=frames.HOST_PROTOCOL)
+        if not self._reads:
+            hello = frames.ManagerHello(
+                protocol=frames.HOST_PROTOCOL, token=self._token(), uuid=self._uuid, seen=self._seen
+            )
+        writer.write(frames.encode(hello) + b"\n")
+        answer = await _frame(reader)
+        if not isinstance(answer, frames.Accepted):
+            raise ProtocolError("the host process did not accept the manager first")
+        if answer.refused is not None:
+            raise HostFault(answer.refused)
+        self._was, self._uuid = self._uuid, greeting.uuid
+        if self._was != greeting.uuid:
+            self._seen = 0
+
+    def _require(self, greeting: frames.HostGreeting) -> None:
+        """Raises HostFault where the host process is not the one that is meant, or speaks otherwise."""
+        if (greeting.system, greeting.host) != (self._order.system, self.host.name):
+            raise HostFault(
+                f"its folder has the host process of {greeting.system}, there as host {greeting.host}: state another "
+                "`folder` for one of the two"
+            )
+        if greeting.control not in SPOKEN:
+            raise HostFault(
+                f"its Midstride {greeting.version} speaks version {greeting.control} of the control protocol, and this "
+                f"one speaks {OLDEST} to {PROTOCOL}: install the same version of Midstride on both"
+            )
+
+    async def _compare(self) -> None:
+        """With another host process than before: have it watch what runs; what does not has ended meanwhile."""
+        if self._was == self._uuid or not self.handles:
+            return
+        for handle in list(self.handles.values()):
+            if not await self.call(calls.Adopt(handle=handle), bool):
+                words = f"{handle.instance} has ended while `midstride host` did not run on {self.host.name}"
+                self._exited(ExitedForm(instance=handle.instance, because=words))
+
+    async def _end_lost(self) -> None:
+        """End what may have been started as the link broke: nobody has waited for it."""
+        for instance in sorted(self.lost):
+            await self.call(calls.End(instance=instance, stop=StopTimesForm.of(KILL_AT_ONCE)), list[RemainingForm])
+            self.lost.discard(instance)
+
+    async def _read(self, reader: asyncio.StreamReader) -> None:
+        while True:
+            frame = await _frame(reader)
+            if frame is None:
+                return
+            match frame:
+                case frames.ResultFrame():
+                    waiting = self._calls.pop(frame.number, None)
+                    if waiting is not None and not waiting.done():
+                        waiting.set_result(frame)
+                case frames.ExitFrame() if frame.number > self._seen:
+                    self._seen = frame.number
+                    self._exited(frame.exited)
+                case frames.StateFrame():
+                    self.state = frame
+                case _:
+                    pass
+
+    def _exited(self, exited: ExitedForm) -> None:
+        self.handles.pop(exited.instance, None)
+        self._on_exit(exited.exited())
+
+    def _fail_calls(self) -> None:
+        waiting, self._calls = self._calls, {}
+        for each in waiting.values():
+            if not each.done():
+                each.set_exception(Unreachable(f"the connection to host {self.host.name} ended meanwhile"))
+                each.exception()
+
+    # -- calls ---------------------------------------------------------------------------------------------
+
+    def require_connected(self) -> None:
+        """Raises Unreachable, with why the host cannot be reached."""
+        if self._writer is None:
+            raise Unreachable(f"host {self.host.name} cannot be reached: {self.problem}")
+
+    async def call(self, call: calls.HostCall, result: type[T], seconds: float | None = CALL_SECONDS) -> T:
+        """Carry out a call there. Raises what its back end has raised; Unreachable, CallTimeout: it is not known."""
+        self.require_connected()
+        assert self._writer is not None
+        self._number += 1
+        number = self._number
+        waiting: asyncio.Future[frames.ResultFrame] = asyncio.get_running_loop().create_future()
+        self._calls[number] = waiting
+        try:
+            self._writer.write(frames.encode(frames.CallFrame(number=number, call=call)) + b"\n")
+            async with within(seconds) if seconds is not None else contextlib.nullcontext():
+                answer = await waiting
+        except asyncio.TimeoutError:
+            raise CallTimeout(f"host {self.host.name} has not answered within {seconds:g} s") from None
+        finally:
+            self._calls.pop(number, None)
+        if answer.failed is not None:
+            raise error_of(answer.kind, f"{answer.failed} (on host {self.host.name})")
+        try:
+            return msgspec.json.decode(answer.result, type=result)
+        except INVALID as error:
+            raise ProtocolError(f"host {self.host.name} has answered with something else: {error}") from None
+
+    async def connect(self, instance: str, address: str) -> SocketConnection:
+        """The control connection of a component there. Raises Unreachable where nothing listens, CallTimeout."""
+        connection = self._ssh_connection()
+        try:
+            reader, writer = await open_socket(connection.local, address)
+        except Unreachable as error:  # of the forwarding: the component may listen
+            raise CallTimeout(f"host {self.host.name} cannot be reached: {error}") from None
+        try:
+            async with within(GREET_SECONDS):
+                await _greeting(connection, reader)
+                hello = frames.ComponentHello(protocol=frames.HOST_PROTOCOL, instance=instance)
+                writer.write(frames.encode(hello) + b"\n")
+                answer = await _frame(reader)
+        except (asyncio.TimeoutError, HostFault):  # its host process has just ended, or hangs
+            writer.close()
+            raise CallTimeout(f"host {self.host.name} does not answer") from None
+        except BaseException:
+            writer.close()
+            raise
+        if not isinstance(answer, frames.Accepted):
+            writer.close()
+            raise CallTimeout(f"the connection to host {self.host.name} ended")
+        if answer.refused is not None:
+            writer.close()
+            raise (Unreachable if answer.gone else CallTimeout)(f"{answer.refused} (on host {self.host.name})")
+        return RemoteConnection(reader, writer)
+
+    def _ssh_connection(self) -> SshConnection:
+        if self._ssh is None:
+            raise CallTimeout(f"host {self.host.name} cannot be reached: {self.problem}")
+        return self._ssh
+
+
+class RemoteConnection(SocketConnection):
+    """The control connection of a component on another host: its process is not at the other end."""
+
+    @property
+    def peer(self) -> int:
+        return -1
+
+
+async def _open(connection: SshConnection) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    return await open_socket(connection.local, f"the forwarded socket of {connection.host.name}")
+
+
+async def _greeting(connection: SshConnection, reader: asyncio.StreamReader) -> frames.HostGreeting:
+    try:
+        async with within(GREET_SECONDS):
+            line = await _line(reader)
+    except asyncio.TimeoutError:
+        raise HostFault(
+            f"its host process does not answer within {GREET_SECONDS:g} s: is it stopped, or the link overloaded?"
+        ) from None
+    if line is None:
+        await asyncio.sleep(0.1)  # what ssh says of it comes on another way
+        raise HostFault(connection.why_not_forwarded())
+    return frames.decode_greeting(line)
+
+
+async def _frame(reader: asyncio.StreamReader) -> frames.FromHost | None:
+    line = await _line(reader)
+    return None if line is None else frames.decode_from_host(line)
+
+
+async def _line(reader: asyncio.StreamReader) -> bytes | None:
+    try:
+        line = await reader.readline()
+    except (OSError, ValueError):
+        return None
+    if len(line) > frames.LONGEST_HOST_FRAME:
+        raise ProtocolError(f"a frame of more than {frames.LONGEST_HOST_FRAME} bytes")
+    return line[:-1] if line.endswith(b"\n") else None

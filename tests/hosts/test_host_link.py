@@ -1,0 +1,516 @@
+"""The link to a host process and that process, both in this one, over a Unix socket: no SSH, no ROS."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Callable, Collection, Container, Coroutine
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from immutables import Map
+
+from midstride.errors import BackendError, CallTimeout, EndUnknown, StartFailed, Unreachable
+from midstride.model.component import DEFAULT_STOP, ParameterSection, StopTimes
+from midstride.model.hosts import HostSpec
+from midstride.runtime.backend_protocol import (
+    Backend,
+    DescribedProcess,
+    Endpoints,
+    Exited,
+    Handle,
+    Launch,
+    RemainingProcess,
+)
+from midstride.runtime.hosts import call_forms as calls
+from midstride.runtime.hosts import host_frames as frames
+from midstride.runtime.hosts import host_link
+from midstride.runtime.hosts.host_link import HostLink
+from midstride.runtime.hosts.host_order import HostOrder, HostReport
+from midstride.runtime.hosts.host_service import HostService
+from midstride.runtime.hosts.hosts_backend import HostsBackend
+from midstride.runtime.hosts.ssh_connection import HostFault, SshConnection
+from midstride.runtime.manager_clock import SystemClock
+from midstride.runtime.records.status_forms import Middleware
+from midstride.runtime.workspace import Workspace
+from midstride.wire.sockets import SocketFolder
+from midstride.wire.transport import Connection
+
+ARM = HostSpec("arm", "robot@arm")
+ORDER = HostOrder(protocol=frames.HOST_PROTOCOL, system="home", host="arm")
+
+
+class Platform(Backend):
+    """A back end whose components are names, and sockets of this process where they listen."""
+
+    name = "ros2"
+    shares_processes = False
+
+    def __init__(self, folder: Path) -> None:
+        self.clock, self.transport = SystemClock(), SocketFolder(folder / "components")
+        self.running: set[str] = set()
+        self.launches: list[Launch] = []
+        self.refused: dict[str, BackendError] = {}
+        self.stopped: set[str] = set()
+        self.forgotten: list[str] = []
+
+    async def open(self, on_exit: Callable[[Exited], None]) -> None:
+        self.exit = on_exit
+
+    async def close(self) -> None:
+        pass
+
+    def describe(self, launch: Launch) -> DescribedProcess:
+        return DescribedProcess(launch.arguments)
+
+    async def start(self, launch: Launch) -> Handle:
+        if (error := self.refused.get(launch.instance)) is not None:
+            raise error
+        self.launches.append(launch)
+        self.running.add(launch.instance)
+        return Handle(launch.instance, 7, 1.5, f"/logs/{launch.instance}.log")
+
+    async def adopt(self, handle: Handle) -> bool:
+        return handle.instance in self.running
+
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        if (error := self.refused.get(instance)) is not None:
+            raise error
+        self.running.discard(instance)
+        return [RemainingProcess(7, "sleep", stop.longest)]
+
+    async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
+        return []
+
+    def middleware(self) -> Middleware:
+        return Middleware(name="none")
+
+    async def endpoints(self, topics: Collection[str] | None = None) -> Endpoints:
+        return Endpoints()
+
+    def probe(self) -> AbstractAsyncContextManager[str | None]:
+        return nullcontext()
+
+    def disconnected(self, instance: str) -> None:
+        self.forgotten.append(instance)
+
+    def is_stopped(self, instance: str) -> bool:
+        return instance in self.stopped
+
+
+@dataclass
+class Road:
+    """How the host process with the socket ``path`` is connected to. ``down``: why it cannot be now."""
+
+    path: Path
+    down: str | None = None
+
+    def __call__(self, host: HostSpec, folder: Path) -> SshConnection:
+        return Near(host, folder, self)
+
+
+class Near(SshConnection):
+    """A connection to a host process on this machine."""
+
+    def __init__(self, host: HostSpec, folder: Path, road: Road) -> None:
+        super().__init__(host, folder)
+        self.road, self.local = road, road.path
+
+    async def open(self, order: HostOrder, environment: Any = None) -> HostReport:
+        if self.road.down is not None:
+            raise HostFault(self.road.down)
+        return HostReport(midstride_host=frames.HOST_PROTOCOL, socket=str(self.local), components="/far/components")
+
+    async def ended(self) -> str:
+        await asyncio.Event().wait()
+        return ""
+
+    async def close(self) -> None:
+        pass
+
+
+class Far:
+    """The host `arm`: its back end, and the host process while it :meth:`runs`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.platform = folder, Platform(folder)
+        self.near = Road(folder / "host.sock")
+        self.task: asyncio.Task[None] | None = None
+
+    async def run(self, order: HostOrder = ORDER, idle: float = 60.0) -> None:
+        """Start the host process; it is another one each time."""
+        service = HostService(self.platform, order, directory=self.folder, logs=self.folder, version="1.2.3", idle=idle)
+        self.task = asyncio.ensure_future(service.serve(self.folder / "host.sock"))
+        while not (self.folder / "host.sock").exists():
+            await asyncio.sleep(0.001)
+
+    async def kill(self) -> None:
+        """The host process ends, and its connections with it."""
+        assert self.task is not None
+        self.task.cancel()
+        await asyncio.gather(self.task, return_exceptions=True)
+        for task in asyncio.all_tasks():
+            if task is not asyncio.current_task() and "_accepted" in repr(task):
+                task.cancel()
+
+
+def run(body: Coroutine[Any, Any, None]) -> None:
+    async def bounded() -> None:
+        await asyncio.wait_for(body, 20.0)
+
+    asyncio.run(bounded())
+
+
+async def until(condition: Callable[[], object]) -> None:
+    while not condition():
+        await asyncio.sleep(0.005)
+
+
+@pytest.fixture(autouse=True)
+def short_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host_link, "FIRST_PAUSE", 0.02)
+    monkeypatch.setattr(host_link, "LONGEST_PAUSE", 0.05)
+
+
+@asynccontextmanager
+async def system(folder: Path, far: Far) -> AsyncIterator[tuple[HostsBackend, list[Exited], list[str]]]:
+    """The back end of a system with the host `arm`; the exits and the notes that the manager has had."""
+    exits: list[Exited] = []
+    notes: list[str] = []
+    (folder / "home").mkdir(exist_ok=True)
+    backend = HostsBackend(Platform(folder), Workspace(folder / "home"), connect=far.near)
+    await backend.open(exits.append)
+    try:
+        await backend.reach_hosts({"arm": ARM}, "token", notes.append)
+        yield backend, exits, notes
+    finally:
+        await backend.close()
+        await far.kill()
+
+
+def launch(instance: str, **more: Any) -> Launch:
+    return Launch(instance, "", ("python3", "x.py"), "token", Path("/nowhere"), host="arm", **more)
+
+
+def test_a_component_is_started_watched_and_ended_on_its_host(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, _):
+            sections = (ParameterSection("/**", Map(use_sim_time=True)),)
+            given = {"parameters": {"a": 1.0, "b": [1, 2]}, "environment": {"X": None}, "sections": sections}
+            handle = await backend.start(launch("gripper", topics={"out": "/grip"}, **given))
+            assert handle == Handle("gripper", 7, 1.5, "/logs/gripper.log", "arm")
+            assert handle.log_file == "arm:/logs/gripper.log"
+            (arrived,) = far.platform.launches
+            assert (arrived.directory, arrived.arguments, arrived.environment) == (
+                tmp_path,
+                ("python3", "x.py"),
+                {"X": None},
+            )
+            assert arrived.parameters == {"a": 1.0, "b": [1, 2]} and isinstance(arrived.parameters["a"], float)
+            assert arrived.sections == sections and arrived.topics == {"out": "/grip"}
+            far.platform.stopped.add("gripper")
+            await until(lambda: backend.is_stopped("gripper"))
+            assert await backend.adopt(handle)
+            assert await backend.end("gripper", DEFAULT_STOP) == [RemainingProcess(7, "sleep", 10.0)]
+            await backend.start(launch("gripper_2"))
+            far.platform.exit(Exited("gripper_2", -9, "its last words"))
+            await until(lambda: exits)
+            assert exits == [Exited("gripper_2", -9, "its last words")]
+            assert not await backend.adopt(Handle("gone", 7, 1.5, None, "arm"))
+
+    run(body())
+
+
+def test_what_its_back_end_raises_is_raised_here_with_the_name_of_the_host(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, _, _):
+            far.platform.refused["x"] = StartFailed("x: there is no program")
+            with pytest.raises(StartFailed, match=r"x: there is no program \(on host arm\)"):
+                await backend.start(launch("x"))
+            await backend.start(launch("y"))
+            far.platform.refused["y"] = EndUnknown("y: it is not known")
+            with pytest.raises(EndUnknown, match="not known"):
+                await backend.end("y", DEFAULT_STOP)
+
+    run(body())
+
+
+def test_a_host_that_cannot_be_reached_says_why_in_all_that_is_asked_of_it(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        far.near.down = "its name is not known"
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, _):
+            assert backend.problems() == {"arm": "its name is not known"}
+            with pytest.raises(StartFailed, match="x: host arm cannot be reached: its name is not known"):
+                await backend.start(launch("x"))
+            with pytest.raises(Unreachable, match="its name is not known"):
+                await backend.adopt(Handle("x", 7, 1.5, None, "arm"))
+            with pytest.raises(EndUnknown, match="whether x runs there is not known"):
+                await backend.end("x", DEFAULT_STOP)  # as `down` does
+            with pytest.raises(Unreachable, match="host leg is not declared"):
+                await backend.adopt(Handle("y", 7, 1.5, None, "leg"))
+            with pytest.raises(EndUnknown, match="whether y runs there is not known"):
+                await backend.end("y", DEFAULT_STOP)
+            far.near.down = None
+            await until(lambda: not backend.problems())
+            assert (await backend.start(launch("x"))).host == "arm" and exits == []
+
+    run(body())
+
+
+def test_exits_while_the_link_was_down_come_once_it_is_back(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, notes):
+            for name in ("a", "b", "c"):
+                await backend.start(launch(name))
+            far.platform.exit(Exited("a", 1))
+            await until(lambda: exits)
+            far.near.down = "it cannot be reached over the network"
+            _cut(backend)
+            await until(lambda: notes)
+            assert "host arm cannot be reached" in notes[0]
+            with pytest.raises(EndUnknown, match="whether c runs there is not known"):
+                await backend.end("c", DEFAULT_STOP)
+            far.platform.exit(Exited("b", 2))
+            far.near.down = None
+            await until(lambda: len(exits) == 2)
+            assert [each.instance for each in exits] == ["a", "b"]
+            assert "is reached again" in notes[-1]
+            await backend.end("c", DEFAULT_STOP)
+
+    run(body())
+
+
+def test_what_may_have_been_started_as_the_link_broke_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, _):
+            begin = far.platform.start
+
+            async def start(launch: Launch) -> Handle:
+                handle = await begin(launch)
+                far.near.down = "it is cut"
+                _cut(backend)
+                await asyncio.sleep(0.02)
+                return handle
+
+            monkeypatch.setattr(far.platform, "start", start)
+            with pytest.raises(StartFailed, match="the connection to host arm ended meanwhile"):
+                await backend.start(launch("a"))
+            assert far.platform.running == {"a"}
+            far.near.down = None
+            await until(lambda: not backend.problems() and not far.platform.running)
+            assert exits == []
+
+    run(body())
+
+
+def _cut(backend: HostsBackend) -> None:
+    """End the connection to the host, as a link does that is cut."""
+    if (writer := backend._links["arm"]._writer) is not None:
+        writer.transport.abort()
+
+
+def test_another_host_process_finds_the_components_that_run_and_names_those_that_do_not(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, _):
+            await backend.start(launch("a"))
+            await backend.start(launch("b"))
+            await far.kill()
+            _cut(backend)
+            far.platform.running.discard("b")
+            await far.run()
+            await until(lambda: exits)
+            (gone,) = exits
+            assert gone.instance == "b" and "while `midstride host` did not run on arm" in gone.words
+            await backend.end("a", DEFAULT_STOP)
+
+    run(body())
+
+
+def test_the_next_manager_has_no_exits_of_the_one_before_and_another_system_is_refused(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        first: list[Exited] = []
+        one = HostLink(ARM, ORDER, tmp_path, lambda: "token", first.append, connect=far.near)
+        await one.open()
+        await one.call(calls.Start(launch=calls.LaunchForm.of(launch("a"))), calls.HandleForm)
+        await one.call(calls.Start(launch=calls.LaunchForm.of(launch("b"))), calls.HandleForm)
+        far.platform.exit(Exited("b", 1))
+        await until(lambda: first)
+        await one.close()
+        exits: list[Exited] = []
+        two = HostLink(ARM, ORDER, tmp_path, lambda: "token", exits.append, connect=far.near)
+        await two.open()
+        assert two.problem is None and exits == []
+        await two.close()
+        other = HostLink(ARM, ORDER, tmp_path, lambda: "another", exits.append, connect=far.near)
+        await other.open()
+        assert other.problem is not None and "another start of home" in other.problem
+        await other.close()
+        meant = HostOrder(protocol=frames.HOST_PROTOCOL, system="house", host="arm")
+        wrong = HostLink(ARM, meant, tmp_path, lambda: "token", exits.append, connect=far.near)
+        await wrong.open()
+        assert wrong.problem is not None and "its folder has the host process of home" in wrong.problem
+        await wrong.close()
+        await far.kill()
+
+    run(body())
+
+
+def test_the_control_connection_of_a_component_goes_through_the_host_process(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+
+        async def echo(connection: Connection) -> None:
+            await connection.send(b'{"hello": 1}')
+            while (line := await connection.receive()) is not None:
+                await connection.send(line)
+
+        async with system(tmp_path, far) as (backend, _, _):
+            with pytest.raises(Unreachable):
+                await backend.transport.connect(backend.transport.address("a"))
+            await backend.start(launch("a"))
+            address = backend.transport.address("a")
+            assert address == "unix:/far/components/a.sock"  # as its peers on the host have it
+            with pytest.raises(Unreachable, match=r"on host arm"):
+                await backend.transport.connect(address)
+            stop = await far.platform.transport.listen("a", echo)
+            connection = await backend.transport.connect(address)
+            assert await connection.receive() == b'{"hello": 1}'
+            await connection.send(b"x" * 200_000)
+            assert await connection.receive() == b"x" * 200_000
+            assert connection.peer == -1  # the end of the connection is not that of the component
+            far.near.down = "it is cut"
+            _cut(backend)
+            await until(lambda: backend.problems() == {"arm": "it is cut"})
+            with pytest.raises(CallTimeout, match="it is cut"):
+                await backend.transport.connect(address)
+            connection.close()
+            stop()
+
+    run(body())
+
+
+def test_a_host_process_ends_once_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("midstride.runtime.hosts.host_service.LOOK", 0.01)
+
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run(idle=0.3)
+        async with system(tmp_path, far) as (backend, _, _):
+            await backend.start(launch("a"))
+            far.near.down = "cut"
+            _cut(backend)
+            await asyncio.sleep(0.5)
+            assert far.task is not None and not far.task.done()  # it watches a component
+            far.near.down = None
+            await until(lambda: not backend.problems())
+            await backend.end("a", DEFAULT_STOP)
+            await asyncio.sleep(0.5)
+            assert not far.task.done()  # a manager is connected
+        await asyncio.wait_for(asyncio.gather(far.task, return_exceptions=True), 5.0)
+        assert not (tmp_path / "host.sock").exists()
+
+    run(body())
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"not json\n",
+        b'{"protocol": 99}\n',
+        b'{"frame": "accepted"}\n',
+        b'{"frame": "host", "protocol": 1, "version": "1", "control": 99, "system": "home", "host": "arm", '
+        b'"uuid": "u", "pid": 1}\n',
+        b"",
+    ],
+)
+def test_a_host_process_that_says_something_else_is_not_used(tmp_path: Path, said: bytes) -> None:
+    async def body() -> None:
+        async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            writer.write(said)
+            await writer.drain()
+            writer.close()
+
+        server = await asyncio.start_unix_server(answer, tmp_path / "host.sock")
+        link = HostLink(ARM, ORDER, tmp_path, lambda: "token", lambda _: None, connect=Far(tmp_path).near)
+        await link.open()
+        assert link.problem is not None and not link.connected
+        await link.close()
+        server.close()
+
+    run(body())
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"\xff\n",
+        b"{}\n",
+        json.dumps({"frame": "manager", "protocol": 1}).encode() + b"\n",
+        json.dumps({"frame": "reader", "protocol": 1}).encode()
+        + b"\n"
+        + json.dumps({"frame": "call", "number": 1, "call": {"name": "keep_spares", "count": 9, "token": "t"}}).encode()
+        + b"\n",
+        json.dumps({"frame": "component", "protocol": 1, "instance": "../../x"}).encode() + b"\n",
+    ],
+)
+def test_a_client_that_says_something_else_changes_nothing(tmp_path: Path, line: bytes) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        reader, writer = await asyncio.open_unix_connection(tmp_path / "host.sock")
+        frames.decode_greeting((await reader.readline())[:-1])
+        writer.write(line)
+        rest = await reader.read()
+        assert b'"result"' not in rest
+        writer.close()
+        assert far.platform.launches == []
+        await far.kill()
+
+    run(body())
+
+
+def test_a_reader_reads_logs_and_nothing_else_of_the_disk(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        (tmp_path / "a.log").write_bytes(b"0123456789\xff")
+        (tmp_path / "secret.log").symlink_to("/etc/hostname")
+        link = HostLink(ARM, ORDER, tmp_path, lambda: "", lambda _: None, reads=True, connect=far.near)
+        await link.open()
+        read = calls.ReadLog(file="a.log", begin=4, longest=100)
+        assert (await link.call(read, calls.LogPiece)).content == b"456789\xff"
+        for name in ("../a.log", "/etc/hostname", "secret.log"):
+            with pytest.raises(BackendError, match="is no log"):
+                await link.call(calls.ReadLog(file=name, begin=0, longest=10), calls.LogPiece)
+        await link.close()
+        await far.kill()
+
+    run(body())
+
+
+def test_a_socket_of_a_host_process_is_for_its_user_alone(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        assert (tmp_path / "host.sock").stat().st_mode & 0o777 == 0o600
+        await far.kill()
+
+    run(body())
