@@ -327,7 +327,7 @@ class Client:
 # What to do about a manager that has not the API that is used here.
 _OTHER_VERSION = (
     "another version of Midstride has started the manager. `midstride up FILE --replace-manager` has this version "
-    "manage the system, and its components go on; or use the `midstride` of that version"
+    "manage the system, and its components keep running; or use the `midstride` of that version"
 )
 
 

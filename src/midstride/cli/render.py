@@ -342,7 +342,7 @@ def time_of_day(at: float) -> str:
 
 
 def history(history: History, *, in_progress: bool = True) -> RenderableType:
-    """The changes and the incidents, oldest first. ``in_progress``: a manager goes on with what has no outcome yet."""
+    """The changes and the incidents, oldest first. ``in_progress``: a manager continues what has no outcome yet."""
     from midstride.runtime.records.change_history import Incident
 
     left, right = ("", "when", "what", "outcome", "levels", "version"), ("steps", "missed", "gap", "took")

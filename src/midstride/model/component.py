@@ -41,7 +41,7 @@ class StopTimes:
 
     A signal that has 0 s to take effect is not sent. The defaults are those of ROS's own `launch`. Before that, a node
     with the preloaded library answers the requests to its services that it has taken, for ``drain`` s from when its
-    replacement is to answer, and for as long again once it is to end. It goes on with the goals of its ROS actions
+    replacement is to answer, and for as long again once it is to end. It continues the goals of its ROS actions
     until these have ended, for ``patience`` s at most. One that has been ``asked`` to end before is first waited for so
     long (s), without a signal: the second one would end it at once. ``whole``: all that share its process are to end.
     """

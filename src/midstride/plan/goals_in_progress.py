@@ -1,4 +1,4 @@
-"""How long the removal of a node may take that goes on with the goals of its ROS actions.
+"""The time that the removal of a node may take that continues the goals of its ROS actions.
 
 Its successor runs beside it meanwhile (docs/protocols/services.md).
 """

@@ -136,7 +136,7 @@ def _offer(before: EnvironmentGuarantee, after: EnvironmentGuarantee) -> Iterato
 def _components(old: Mapping[str, ComponentSpec], new: Mapping[str, ComponentSpec]) -> Iterator[Difference]:
     renamed = dict(renamed_components(old, new))
     for before, after in renamed.items():
-        yield Difference(f"component {before}", "renamed", (f"to {after}; its nodes go on",))
+        yield Difference(f"component {before}", "renamed", (f"to {after}; its nodes keep running",))
     kept = {name: component for name, component in old.items() if name not in renamed}
     others = {name: component for name, component in new.items() if name not in renamed.values()}
     yield from _compared("component", kept, others, lambda _: (), component_differences)

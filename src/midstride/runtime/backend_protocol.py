@@ -278,7 +278,7 @@ class Backend(Protocol):
 
         ``stop``: how long each request to exit may take before that. What the graph still shows of it is ignored from
         then on, even if its process had exited before. Raises BackendError where its process has other nodes, and it
-        alone could not be ended: it goes on; EndUnknown: it is not known whether it does.
+        alone could not be ended, so that it keeps running; EndUnknown where that is not known.
         """
 
     def keep_spares(self, number: int, token: str) -> None:

@@ -128,7 +128,7 @@ def status_words(lifecycle: Lifecycle) -> str:
     if lifecycle.ends:
         return "stopping"
     if lifecycle.ended.is_set():
-        return "the manager ends, and its components go on"
+        return "the manager ends, and its components keep running"
     try:
         return status(lifecycle.manager.watched, ()).condition.headline
     except Exception as error:  # a fault of ours must not look as if the manager hung

@@ -26,7 +26,7 @@ def unmeasured_exchange(
 
 
 def unmeasured_others(roles: Sequence[str], because: str) -> Assessment:
-    """Nodes that a change leaves alone, of which nothing measures whether they go on with their work."""
+    """Nodes that a change leaves alone, of which nothing measures whether they keep working."""
     return Assessment(listed(roles), "not_measurable", f"what {listed(roles)} {_do(roles)}: {because}")
 
 

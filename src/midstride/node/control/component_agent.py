@@ -162,7 +162,7 @@ class Agent:
     def _publish_diagnostics(self, state: ComponentState) -> None:
         try:
             self.host.publish_diagnostics(partial(diagnostics, state, self.declaration))
-        except Exception as error:  # the platform's: the reports to the manager go on without them
+        except Exception as error:  # the platform's: reports to the manager continue without them
             self.diagnostics = False
             self.host.logger.error(f"nothing is published on /diagnostics any more: {type(error).__name__}: {error}")
 

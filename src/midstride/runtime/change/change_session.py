@@ -191,9 +191,10 @@ class ChangeSession:
         """The change that carries ``plan`` out, from now on in the journal; ``is_new``: no system runs yet.
         ``partial``: what cannot be created is left out.
 
-        ``keep``: with the parameter values that were set at run time. ``brief``: new publishers are let in after their
-        first calls, and the next command does not wait for the whole measurement. ``wait``: after how long a component
-        that hangs, and is to go, is fenced (s). Raises Superseded; where the journal is ``required``, ManagerError.
+        ``keep``: with the parameter values that were set at run time. ``brief``: new publishers are accepted after
+        their first calls, and the next command does not wait for the whole measurement. ``wait``: after how long a hung
+        component that is being replaced is fenced (s). Raises Superseded; where the journal is ``required``,
+        ManagerError.
         """
         system = self.system
         preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while

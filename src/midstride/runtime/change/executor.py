@@ -295,7 +295,7 @@ class Executor:
     async def _leave_out(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> bool:
         """In a partial change, end the instances of the failed steps and leave them out; whether that is possible.
 
-        It is where the change creates all of them, and the manager is to go on. What has lost their support is lowered
+        It is where the change creates all of them, and the manager continues. What has lost their support is lowered
         by the caller of the change.
         """
         change, life = self.change, self.system.life

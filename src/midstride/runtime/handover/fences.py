@@ -33,7 +33,7 @@ LONG: Final = 2.0
 
 
 def hanging(life: LifeTable, leaving: Iterable[Instance]) -> Iterator[str]:
-    """Yield which of the instances that are to go hang now, and how much longer a change may take for each."""
+    """Yield which of the instances that are being removed hang now, and how much longer a change may take for each."""
     for instance in leaving:
         name = instance.name
         if instance.component.once or life.is_gone_or_fenced(name):

@@ -34,7 +34,7 @@ INTERVAL: Final = 0.02
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
 PROBATION: Final = 5.0
 # From how many calls its code must have returned behind the gate, as far as they come within so many seconds of its
-# first message: what raises at once in most cases is not let in, and a slow component costs no time.
+# first message: what raises at once in most cases is rejected, and a slow component costs no time.
 CALLS: Final = 3
 CALLS_PATIENCE: Final = 0.5
 # An output is quiet if neither side has written anything for so long (s), and for as long as its rate is judged. The

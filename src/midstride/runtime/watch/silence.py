@@ -69,7 +69,7 @@ class SilenceMonitor:
     life: LifeTable
     clock: Clock
     events: EventLog
-    # Those whose middleware stands still, and since when that is known (steady s).
+    # Those whose middleware has stopped discovering, and since when that is known (steady s).
     undiscovering: Mapping[str, float] = field(default_factory=dict)
     # Whether the process of an instance is stopped: an agent in the manager's process does not show that.
     is_stopped: Callable[[str], bool] = lambda _: False
@@ -183,7 +183,7 @@ class SilenceMonitor:
             seconds = round(state.unanswered, 3)
             yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
         if (since := self.undiscovering.get(instance)) is not None:
-            words = f"{instance} discovers no new endpoints, although its data flows: its middleware stands still"
+            words = f"{instance} discovers no new endpoints, although its data flows: its middleware has hung"
             seconds = round(self.clock.steady() - since, 3)
             yield SilenceFault(kind="not_discovering", instance=instance, seconds=seconds, words=words)
         if not configuration.component(instance).counts_messages:

@@ -462,8 +462,9 @@ class ForeignNodes:
         """Have nothing call a node any more that is to be unloaded; not ``now``: it stays, and is called again.
 
         Calls that have begun get ``_LAST_CALLS`` s, and as long as its `drain` where the library sees one of them: an
-        executor with several threads would destroy the node during a call, with which the process ends. That it is to
-        go is in its record before: otherwise, if this manager died, the next one would keep a node that nothing calls.
+        executor with several threads would destroy the node during a call, with which the process ends. Its
+        record says before that it is being removed: otherwise, if this manager died, the next one would keep a node
+        that nothing calls.
         """
         if record is None:
             return
@@ -593,7 +594,7 @@ class ForeignNodes:
         self.discard(record)
 
     async def close(self) -> None:
-        """The nodes go on without their agents."""
+        """Close the agents; their nodes keep running."""
         agents, self._agents = list(self._agents.values()), {}
         for task in list(self._finding.values()):
             task.cancel()
