@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parent.parent
-LEANING: Final = re.compile(r"(?:What|Whether|Those|That|These|It|Its|As|The same)\b")
+LEANING: Final = re.compile(r"(?:What|Whether|How|Why|Where|When|Which|Who|Those|That|These|It|Its|As|The same)\b")
 DOCUMENTED: Final = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 # These pages name the phrases, and entries of the past keep their words.
 EXCEPT: Final = {"docs/style.md", "CHANGELOG.md"}

@@ -19,6 +19,8 @@ def test_nothing_is_found() -> None:
         ("Whether it runs.", True),
         ("What has been seen.", True),
         ("Its name.", True),
+        ("How many run.", True),
+        ("Why it failed.", True),
         ("Return whether the process runs.", False),
         ("Items of a list.", False),
     ],

@@ -1254,7 +1254,7 @@ declare namespace Api {
     host?: string;
   }
 
-  /** When a node that has crashed is started again; `{}`: with the defaults. */
+  /** The policy for starting a crashed node again; `{}`: with the defaults. */
   interface RespawnForm {
     /** the delay before the first restart */
     delay_seconds?: number;
@@ -1446,7 +1446,7 @@ declare namespace Api {
     seconds: number | null;
   }
 
-  /** How long a step took, and when it began after the first one, in seconds. Steps that overlap are in one round. */
+  /** The duration of a step, and its begin after the first one, in seconds. Steps that overlap are in one round. */
   interface StepTime {
     /** its number in the plan, from 1 */
     step: number;
@@ -1465,7 +1465,7 @@ declare namespace Api {
     failed: boolean;
   }
 
-  /** How a program without Midstride's API is ended: with SIGINT, after a time SIGTERM, after another SIGKILL. A signal that has 0 s to take effect is not sent. */
+  /** The way to end a program without Midstride's API: with SIGINT, after a time SIGTERM, after another SIGKILL. A signal that has 0 s to take effect is not sent. */
   interface StopForm {
     /** how long after SIGINT */
     sigterm?: number;
@@ -1594,7 +1594,7 @@ declare namespace Api {
     events: Event[];
   }
 
-  /** How long steps take, where known, and what a hand-over takes its time for. */
+  /** The durations of steps, where known, and what a hand-over takes its time for. */
   interface TimingForm {
     attach?: number;
     create?: number;
@@ -1692,7 +1692,7 @@ declare namespace Api {
     seconds: number;
   }
 
-  /** Why a functionality of a node is in its mode: its own reason, what each better mode lacks, and what to do. */
+  /** The reason why a functionality of a node is in its mode: its own, what each better mode lacks, and what to do. */
   interface Why {
     functionality: string;
     /** of the node: the one that was looked at */

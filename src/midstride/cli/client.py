@@ -127,7 +127,7 @@ class Client:
         return self._form(list[ProgramStatus], "GET", "/programs")
 
     def why(self, functionality: str) -> Why:
-        """Why a functionality is in its mode. Raises PlanRefused for an unknown one."""
+        """The reason why a functionality is in its mode. Raises PlanRefused for an unknown one."""
         from midstride.runtime.records.status_forms import Why
 
         return self._form(Why, "GET", _with_query("/why", {"functionality": functionality}))

@@ -59,7 +59,7 @@ def _heading(status: Status) -> str:
 
 
 def lock_line(lock: ChangeLock) -> str:
-    """Who has locked the system, until when and why, and what that holds back."""
+    """The holder of the system's lock, until when and why, and what the lock holds back."""
     held = "commands, restarts and restoring" if lock.holds_recovery else "commands"
     words = f"{lock.words[0].upper()}{lock.words[1:]}"
     return f"{words} (it holds back {held}; `midstride unlock` ends it)"
@@ -147,7 +147,7 @@ def _attached(status: Status) -> Iterable[tuple[str, PortStatus]]:
 
 
 def _unmet(status: Status) -> Iterable[Text]:
-    """Where what is measured differs from what is declared. What a closed gate holds back is no promise to anything."""
+    """The differences between measured and declared. What a closed gate holds back breaks no promise."""
     for name, port in _attached(status):
         where = f"{name} on {port.topic}"
         if port.gate == "closed":
@@ -221,7 +221,7 @@ def _problems(status: Status) -> Iterable[Text]:
 
 
 def platform(status: Status) -> RenderableType:
-    """How each component was started, and what is set for the middleware."""
+    """The way in which each component was started, and what is set for the middleware."""
     starts = table(["node", "ROS node", "started with", "clock", "log"])
     for component in status.instances:
         clock = "/clock" if component.simulated_time else "system"

@@ -35,6 +35,6 @@ def with_time_for_goals(plan: Plan, serving: Collection[str] = ()) -> Plan:
 
 
 def _longest(component: ComponentSpec) -> float:
-    """How long it may take to end (s): its goals and their results, what it has to answer, and its process."""
+    """The longest time until it has ended (s): its goals and their results, its pending answers, and its process."""
     stop = component.stop_times
     return stop.patience + 3 * CANCELLING + stop.drain + stop.longest

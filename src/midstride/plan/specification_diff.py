@@ -1,4 +1,4 @@
-"""How two specifications differ: what `midstride diff` shows.
+"""The differences between two specifications: what `midstride diff` shows.
 
 The change of each node is classified as the planners see it: added, removed, replaced, rewired, or with parameters set
 in place.
@@ -191,7 +191,7 @@ def _program(container: ContainerProgram) -> str:
 
 
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
-    """How two declarations of a component differ, a line each."""
+    """The differences between two declarations of a component, a line each."""
     for what, old, new in (
         ("run", before.run, after.run),
         ("takes", before.startup_seconds, after.startup_seconds),

@@ -35,7 +35,7 @@ NAMES_ALL: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How to start one component: its command (split as a shell would) and the name of its instance.
+    """The command that starts one component (split as a shell would) and the name of its instance.
 
     ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
     ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
@@ -125,12 +125,12 @@ class Exited:
 
     @property
     def words(self) -> str:
-        """Why the instance is missing."""
+        """The reason why the instance is missing."""
         return self.because or f"{self.instance} exited unexpectedly"
 
     @property
     def details(self) -> str:
-        """Why the instance is missing, with the exit status and the exception that its log ends with."""
+        """The reason why the instance is missing, with the exit status and the exception that its log ends with."""
         status = "" if self.status is None else f" (status {self.status})"
         exception = exception_in(self.log_tail)
         return self.because or f"{self.words}{status}{'' if exception is None else f': {exception}'}"
@@ -290,7 +290,7 @@ class Backend(Protocol):
         return
 
     def spares(self) -> int:
-        """How many of them are ready."""
+        """The number of processes that are ready."""
         return 0
 
     def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
@@ -316,7 +316,7 @@ class Backend(Protocol):
         return
 
     def unwritten(self) -> str | None:
-        """Why what the next manager needs to know of the components could not be written to disk."""
+        """The reason why what the next manager needs to know of the components could not be written to disk."""
         return None
 
     def hanging(self) -> list[str]:
@@ -376,5 +376,5 @@ class Backend(Protocol):
         return None
 
     async def lingering_readers(self, topic: str) -> int:
-        """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""
+        """The number of subscriptions on ``topic`` that the middleware still counts for processes known to be dead."""
         return 0

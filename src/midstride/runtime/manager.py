@@ -212,11 +212,11 @@ class Manager:
             return UpReport(outcome, sorted(self.configuration.instances), remaining, missing, half_done)
 
     def _still_missing(self, absent: Collection[str]) -> dict[str, str]:
-        """Why each role has no instance, but those ``absent``: one may have exited since it was started."""
+        """The reason why each role has no instance, but those ``absent``: one may have exited since it was started."""
         return {role: exits[-1].details for role, exits in self.system.crashes.items() if role not in absent}
 
     def _with_policy(self, role: str, because: str) -> str:
-        """Why a role has no instance, and that it will be started again, if so."""
+        """The reason why a role has no instance, and that it will be started again, if so."""
         policy = self.specification.nodes[role].respawn
         return because if policy is None else f"{because}\nIt is started again {policy}."
 
@@ -313,7 +313,7 @@ class Manager:
         return [_parameters_report(state) for state in found if isinstance(state, ComponentState)]
 
     async def why(self, functionality: str) -> Why:
-        """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
+        """The reason why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
         return Explainer(self.watched).why(functionality)
 
     async def plan(self, request: PlanRequest) -> Plan:

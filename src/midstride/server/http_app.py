@@ -190,7 +190,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
 
     @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:
-        """Why a functionality is in the mode it is in."""
+        """The reason why a functionality is in the mode it is in."""
         return answer(await manager.why(functionality))
 
     @router.get("/log", responses=answers(list[Event]))

@@ -39,7 +39,7 @@ _VARIABLES: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 
 @dataclass(frozen=True, slots=True)
 class ServiceNotice:
-    """Where notices go, and how often systemd expects one (``watchdog``, s; None: it does not watch this process)."""
+    """The address for notices, and systemd's interval for them (``watchdog``, s; None: it does not watch)."""
 
     address: str
     watchdog: float | None = None

@@ -114,7 +114,7 @@ def written(topic: str, port: str, passed: int, window: float, rate: float) -> A
 
 
 def _unseen(window: float, rate: float) -> float:
-    """How many messages may be missing in ``window`` (s) without a word."""
+    """The number of messages that may be missing in ``window`` (s) without a word."""
     return max(MISSING_LEAST, MISSING_PART * rate * window)
 
 
@@ -306,7 +306,7 @@ def ended_with(node: str, words: str, instance: str, *, again: str | None, plann
 
 
 def unknown_others(instance: str, because: str) -> Assessment:
-    """Which other nodes end with an instance cannot be known."""
+    """The other nodes that end with an instance cannot be known."""
     return Assessment(instance, "not_measurable", f"which other nodes end with {instance}: {because}")
 
 

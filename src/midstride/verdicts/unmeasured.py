@@ -31,7 +31,7 @@ def unmeasured_others(roles: Sequence[str], because: str) -> Assessment:
 
 
 def why_unmeasured(component: ComponentSpec) -> str | None:
-    """Why nothing measures what a node of ``component`` does; None where a gate, a page or its own agent does.
+    """The reason why nothing measures what a node of ``component`` does; None where a gate, a page or its agent does.
 
     Of a program that ends, its exit status says that its work is done.
     """

@@ -227,7 +227,7 @@ class Agent:
             return await self._carry_out(request, command, token)
 
     def _mismatch(self, expected: int | None, actual: int) -> str:
-        """Why a request that expects another revision is refused: what changed it, if user code did by raising."""
+        """The refusal of a request that expects another revision: what changed it, if user code did by raising."""
         at, failure = self._revision.failure
         if expected is not None and expected < at:
             return failure

@@ -69,7 +69,7 @@ LONGEST_FIRST_CALLS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Execution:
-    """When the steps of a plan ended (steady s), and how long they took.
+    """The times at which the steps of a plan ended (steady s), and their durations.
 
     ``seconds``: how long they took together; ``times``: each of those that were done.
     ``below_baseline_seconds``: for how long each functionality was below its baseline.
@@ -421,7 +421,7 @@ class ChangeSession:
             self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
 
     def _first_calls(self, actions: Sequence[Action]) -> float:
-        """How long the first calls of the functionalities that ``actions`` have raised take (s).
+        """The time that the first calls of the functionalities that ``actions`` have raised take (s).
 
         Of a program without ports only its process shows that it works, so it is watched for the longest time.
         """

@@ -81,7 +81,7 @@ class Executor:
 
     @property
     def times(self) -> list[StepTime]:
-        """How long each step took that is done, in their order."""
+        """The durations of the steps that are done, in their order."""
         return [self._times[index] for index in sorted(self._times)]
 
     async def run(self, overlap: Overlap | None = None) -> None:

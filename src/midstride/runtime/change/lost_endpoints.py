@@ -257,7 +257,7 @@ def with_goals(states: Mapping[str, LatestState], endpoints: Mapping[str, Sequen
 
 
 def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:
-    """When the replacement of a node with the library in its process begins to answer requests, in words.
+    """The moment at which the replacement of a node with the library begins to answer requests, in words.
 
     ``states``: the last reports of the nodes that ``plan`` removes.
     """
@@ -275,7 +275,7 @@ def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[
 
 
 def messages_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:
-    """How the messages that a plain node answers are shared with its replacement, in words.
+    """The way in which the messages that a plain node answers are shared with its replacement, in words.
 
     ``states``: the last reports of the nodes that ``plan`` removes.
     """

@@ -205,7 +205,7 @@ class Probation:
         return True
 
     async def _written(self) -> tuple[int, int]:
-        """How many messages the old side and the new one have written."""
+        """The numbers of messages that the old side and the new one have written."""
         old, new = await all_of(
             self.client.read(port.instance, CountWritesCommand(port=port.port, topic=self.topic))
             for port in (self.swap.old, self.swap.new)
@@ -239,7 +239,7 @@ async def watch_after(
         return "after its parameters were set" if output.old is None else "after the hand-over"
 
     async def written(output: WatchedOutput) -> tuple[float, float]:
-        """How many messages the new one and the old one have written; of an old one that has ended, nothing counts."""
+        """The numbers of messages that the new one and the old one have written; none of an old one that has ended."""
         command = CountWritesCommand(port=output.port.port, topic=output.topic)
         new = (await client.read(output.port.instance, command)).written
         if output.old is None:

@@ -90,7 +90,7 @@ class HostLink:
         await self._tried.wait()
 
     async def close(self) -> None:
-        """Leave the host; its components go on."""
+        """Leave the host; its components keep running."""
         if self._keeping is not None:
             self._keeping.cancel()
             await asyncio.gather(self._keeping, return_exceptions=True)

@@ -1,4 +1,4 @@
-"""Which hosts a back end can start processes on."""
+"""The hosts on which a back end can start processes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from midstride.runtime.backend_protocol import Backend
 
 
 def out_of_reach(backend: Backend, specification: Specification) -> str | None:
-    """Why nothing of a specification is started: its nodes on other hosts, where the back end reaches none."""
+    """The reason why nothing of a specification is started: its nodes on hosts that the back end does not reach."""
     elsewhere = {role: node.host for role, node in sorted(specification.nodes.items()) if node.host}
     if backend.reaches_hosts or not elsewhere:
         return None

@@ -295,7 +295,7 @@ class ChangeLock(Report, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """Who has locked the system, until when, and why."""
+        """The holder of the lock, until when, and why."""
         end = "until it is unlocked" if self.until is None else f"until {time_of(self.until)}"
         return f"the system is locked by {self.by} since {time_of(self.since)}, {end}: {self.reason}"
 
@@ -369,7 +369,7 @@ class Status(Report, frozen=True, kw_only=True):
 
 
 class Why(Report, frozen=True, kw_only=True):
-    """Why a functionality of a node is in its mode: its own reason, what each better mode lacks, and what to do."""
+    """The reason why a functionality of a node is in its mode: its own, what each better mode lacks, and what to do."""
 
     functionality: str
     instance: Annotated[str, Meta(description="of the node: the one that was looked at")]

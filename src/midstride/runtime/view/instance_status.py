@@ -217,7 +217,7 @@ def _functionalities(
 
 
 def _since(found: FunctionalityState, reported: float, before: FunctionalityStatus | None) -> float:
-    """When the mode began: the same as before while it lasts, although each report was on its way for another time."""
+    """The begin of the mode: the same as before while it lasts, although the delays of reports differ."""
     began = reported - found.since
     known = before.since if before is not None and before.mode == found.mode else None
     return known if known is not None and abs(began - known) <= SAME_MODE else round(began, 3)

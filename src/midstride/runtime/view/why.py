@@ -1,4 +1,4 @@
-"""Why a functionality is in its mode, and what an operator can do about it."""
+"""The reason why a functionality is in its mode, and what an operator can do about it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Explainer:
         return self.watched.system
 
     def why(self, functionality: str) -> Why:
-        """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
+        """The reason for the mode of ``functionality`` (of a role or instance). Raises PlanRefused if unknown."""
         ref = self._find(functionality)
         configuration, evaluator = self.system.configuration, Evaluator(self.system.configuration)
         declared, state = configuration.functionality(ref), self.watched.client.life.responsive(ref.instance)
@@ -174,7 +174,7 @@ class Explainer:
         ]
 
     def _missing(self, node: str) -> str | None:
-        """Why a role or an instance that has exited is missing, and what comes next; None for any other."""
+        """The reason why a role or an instance that has exited is missing, and what comes next; None for any other."""
         for name, exited in reversed(self.system.life.missing.items()):
             role = self.system.role_of_missing(name)
             if role is None or node not in (name, role) or self.system.has_instance(role):

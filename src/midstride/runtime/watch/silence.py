@@ -58,7 +58,7 @@ class _Link:
 
 @dataclass(frozen=True, slots=True)
 class _Report:
-    """When an instance last reported (steady s), and the topics and ports of its attachments then."""
+    """The time of an instance's last report (steady s), and the topics and ports of its attachments then."""
 
     at: float
     attached: Set[tuple[str, PortRef]]

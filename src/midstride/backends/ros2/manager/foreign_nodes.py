@@ -318,7 +318,7 @@ class ForeignNodes:
         return self._page, library
 
     def library_origin(self) -> str | None:
-        """Which library of the gate its processes have, in words; None where none has one."""
+        """The library of the gate that its processes have, in words; None where none has one."""
         return None if self._page is None else f"gate: the library is {build.origin()}"
 
     def note(self, state: ComponentState) -> None:
@@ -337,7 +337,7 @@ class ForeignNodes:
         return self._relays.runs(node) or any(each.node == node and not self._mark(each) for each in records)
 
     def unwritten(self) -> str | None:
-        """Why the record of one of them could not be written."""
+        """The reason why the record of one of them could not be written."""
         return next((why for agent in self._agents.values() if (why := agent.node.unwritten) is not None), None)
 
     def discard(self, record: ForeignRecord) -> None:
@@ -412,7 +412,7 @@ class ForeignNodes:
         return self.node_of(instance) or full_name(instance, namespace)
 
     def processes(self, instances: Iterable[str]) -> list[AskedProcess]:
-        """How the nodes of the process of each instance are found."""
+        """The way in which the nodes of the process of each instance are found."""
         return [self._process(instance) for instance in instances]
 
     def _process(self, instance: str) -> AskedProcess:
