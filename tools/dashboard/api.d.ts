@@ -561,6 +561,22 @@ declare namespace Api {
     folder?: string;
   }
 
+  /** The link to another host than the manager's, where the manager has started nodes, or may. While it is down, nothing is known of the nodes there, and nothing is started elsewhere. The manager connects again by itself. */
+  interface HostStatus {
+    name: string;
+    /** as `ssh` takes it */
+    destination: string;
+    connected: boolean;
+    /** from when on that has been so */
+    since: number;
+    /** why it cannot be reached, and what to do; null: it is connected */
+    because: string | null;
+    /** of Midstride there; empty: not known */
+    version: string;
+    /** that run there, as far as is known */
+    instances: string[];
+  }
+
   /** An event besides changes, such as an instance that exited. */
   interface Incident {
     at: number;
@@ -617,6 +633,8 @@ declare namespace Api {
     pid: number | null;
     /** it has reported its state in the last 2 s */
     reachable: boolean;
+    /** its host cannot be reached: whether it runs is not known */
+    unreachable: boolean;
     /** it answers requests to its node's services */
     answers: boolean;
     /** it has been asked to end */
@@ -970,6 +988,7 @@ declare namespace Api {
     changed_since?: boolean;
     middleware?: Middleware;
     spares?: SpareStatus;
+    hosts?: HostStatus[];
     change?: ChangeView | null;
   }
 
@@ -1380,7 +1399,7 @@ declare namespace Api {
 
   /** A component that does not answer, or a port that has been silent for so long (null: unknown). */
   interface SilenceFault {
-    kind: "not_answering" | "not_discovering" | "not_publishing" | "not_receiving" | "not_responding";
+    kind: "not_answering" | "not_discovering" | "not_publishing" | "not_receiving" | "not_responding" | "unreachable";
     instance: string;
     port: string | null;
     topic: string | null;
@@ -1567,6 +1586,8 @@ declare namespace Api {
     changed_since: boolean;
     middleware: Middleware;
     spares: SpareStatus;
+    /** other than the manager's */
+    hosts: HostStatus[];
     version: number;
     /** of this run of the manager: numbers of another one mean nothing to it */
     manager: string;

@@ -14,6 +14,7 @@ from midstride.cli.render import UNKNOWN, hertz, seconds, table
 from midstride.codec.parameter import from_json
 from midstride.model.contract import connector_kind
 from midstride.model.wording import KIND_WORDS
+from midstride.plan.runtime_values import time_of
 from midstride.runtime.backend_protocol import NAMES_ALL
 from midstride.runtime.records.status_forms import (
     ChangeLock,
@@ -38,7 +39,7 @@ def status(status: Status) -> RenderableType:
             first = ["", "", ""]
         for line in _others(component):
             live.add_row("", "", "", *line)
-    lines = [*_topics(status), *_unmet(status), *_programs(status), *_set(status), *_problems(status)]
+    lines = [*_hosts(status), *_topics(status), *_unmet(status), *_programs(status), *_set(status), *_problems(status)]
     return Group(Text.from_markup(_heading(status)), live, *_containers(status), *lines)
 
 
@@ -73,7 +74,7 @@ def _process(component: InstanceStatus) -> Text:
     if component.done:
         return Text("done", style="dim")
     if not component.reachable:
-        return Text(f"{process}, not responding", style="red")
+        return Text(f"{process}, {'unreachable' if component.unreachable else 'not responding'}", style="red")
     return Text(process, style="dim")
 
 
@@ -113,6 +114,18 @@ def _containers(status: Status) -> Iterable[Text]:
         if alone := [each.name for each in own if each.process is None]:
             words = f"container {container}: {', '.join(alone)} left it for a process for itself, as it was replaced"
             yield Text(f"{words}; `midstride restart {container}` brings all together", style="dim")
+
+
+def _hosts(status: Status) -> Iterable[Text]:
+    """The link to each other host."""
+    for host in status.hosts:
+        where = f"host {host.name} ({host.destination})"
+        nodes = ", ".join(host.instances) or "no node"
+        if host.connected:
+            yield Text(f"{where}: connected since {time_of(host.since)}; {nodes}", style="dim")
+            continue
+        words = f"nothing is known of {nodes}, and nothing is started elsewhere: {host.because}"
+        yield Text(f"{where}: unreachable since {time_of(host.since)}; {words}", style="red")
 
 
 def _topics(status: Status) -> Iterable[Text]:
@@ -206,7 +219,11 @@ def _set(status: Status) -> Iterable[Text]:
 def _problems(status: Status) -> Iterable[Text]:
     problems = [
         *status.violations,
-        *(silence_in_words(fault.words, fault.seconds or None) for fault in status.silences),
+        *(
+            silence_in_words(fault.words, fault.seconds or None)
+            for fault in status.silences
+            if fault.kind != "unreachable"  # the line of its host says so
+        ),
     ]
     for crash in status.crashed:
         next_ = [] if crash.respawn is None else [crash.respawn.words]

@@ -229,6 +229,20 @@ class TopicListener(Protocol):
         """Listen no more."""
 
 
+class HostLinkState(NamedTuple):
+    """The link to another host. ``destination``: as `ssh` takes it.
+
+    ``problem``: why it cannot be reached now, and what to do; None while it is connected. ``since``: from when on that
+    has been so (unix s). ``version``: that of Midstride there, once it is known.
+    """
+
+    host: str
+    destination: str
+    since: float
+    problem: str | None
+    version: str = ""
+
+
 class Backend(Protocol):
     """A platform. One without spare processes, or that need not know what a component reports, inherits its methods.
 
@@ -260,6 +274,10 @@ class Backend(Protocol):
         platform has no other hosts.
         """
         return {}
+
+    def host_links(self) -> Sequence[HostLinkState]:
+        """The link to each host that :meth:`reach_hosts` was called with, by name."""
+        return ()
 
     def describe(self, launch: Launch) -> DescribedProcess:
         """Describe the process that :meth:`start` would start, also before ``open``; nothing is started or written.

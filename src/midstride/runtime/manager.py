@@ -110,7 +110,9 @@ class Manager:
         # What is known of components.
         self._programs = Programs(client, directory, backend.executable)
         self._watch = DiscoveryWatch(backend, client, events, system, commands)
-        self._monitor = monitor = SilenceMonitor(client.life, clock, events, self._watch.stopped, backend.is_stopped)
+        self._monitor = monitor = SilenceMonitor(
+            client.life, clock, events, self._watch.stopped, backend.is_stopped, backend.host_links
+        )
         # What changes the system, each part by the one before it.
         self._reconciler = reconciler = Reconciler(system, client, monitor, launcher, events, store, commands)
         self._session = session = ChangeSession(reconciler, backend, journal, verifier or Verifier())

@@ -44,6 +44,7 @@ from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.handover.fences import DEFAULT_WAIT
+from midstride.runtime.process.reached_hosts import require_reached
 from midstride.runtime.records.change_report import ChangeTimeline
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
@@ -140,6 +141,7 @@ class ChangeSession:
             plan, target = await self.planner.plan(request)
             self.store.require()
             await self.reach_hosts(target)
+            require_reached(self.backend, plan, self.system.configuration)
             if not self.backend.hands_over_between_hosts:
                 require_no_moves(plan, self.system.configuration)
         except (PlanRefused, ManagerError, BackendError) as error:

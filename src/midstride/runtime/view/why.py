@@ -124,8 +124,16 @@ class Explainer:
         return configuration.modes[ref] > 0 or (found is not None and found.mode != best)
 
     def _stuck(self, ref: FunctionalityRef) -> list[str]:
-        """The remedies for an instance that hangs, or is silent where ``ref`` guarantees messages; else nothing."""
+        """The remedies for an instance that hangs, or is silent where ``ref`` guarantees messages; else nothing.
+
+        Of one on a host that cannot be reached, nothing is known, and a restart would not be possible.
+        """
         configuration = self.system.configuration
+        state = self.watched.client.life.responsive(ref.instance)
+        if state is None and self.watched.monitor.is_unreachable(ref.instance, configuration):
+            host = configuration.instances[ref.instance].host
+            because = next(each.problem for each in self.watched.backend.host_links() if each.host == host)
+            return [f"host {host} cannot be reached: {because}; the manager connects again by itself"]
         instance, functionality = configuration.instances[ref.instance], configuration.functionality(ref)
         ports = {*functionality.inputs, *functionality.outputs}
         silent = [
@@ -133,7 +141,6 @@ class Explainer:
             for fault in self.watched.monitor.faults(configuration)
             if fault.instance == ref.instance and (fault.port is None or PortRef.parse(fault.port).port in ports)
         ]
-        state = self.watched.client.life.responsive(ref.instance)
         found = None if state is None else state.functionalities.get(ref.functionality)
         if found is not None and found.busy is not None and found.busy >= LONG_CALL:
             silent.append(f"a call of its code has not returned for {seconds_in_words(found.busy)}")
