@@ -4,8 +4,9 @@ A test that needs ROS is marked ``ros2`` or ``ros1`` and imports it inside the t
 collected without ROS. There it is skipped, with the reason. A test of what Fast DDS alone has or tells is marked
 ``fast_dds`` as well, and is skipped where ``RMW_IMPLEMENTATION`` names another middleware. If ``MIDSTRIDE_NEEDS_ROS2``
 is set, ROS 2 is part of the environment: the test runs, and fails without it. The same holds for the markers ``alloy``
-(the Alloy Analyzer and Java), ``graphviz``, ``browser`` (Chromium), ``rust`` (what tools/rust builds) and ``arm64`` (a
-compiler and an emulator). tools/test sets these variables for everything that it was able to install.
+(the Alloy Analyzer and Java), ``graphviz``, ``browser`` (Chromium), ``rust`` (what tools/rust builds), ``arm64`` (a
+compiler and an emulator) and ``ansible`` (what tools/ansible installs). tools/test sets these variables for everything
+that it was able to install.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ settings.register_profile(
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "daily"))
 
 _MODULES = {"ros2": "rclpy", "ros1": "rospy"}
-_MARKERS = (*_MODULES, "fast_dds", "alloy", "graphviz", "browser", "rust", "arm64")
+_MARKERS = (*_MODULES, "fast_dds", "alloy", "graphviz", "browser", "rust", "arm64", "ansible")
 
 # ROS's own Python modules cause these warnings when they are imported.
 _ROS_WARNINGS = ("ignore:module 'sre_:DeprecationWarning", "ignore:.*pkg_resources.*:UserWarning")
@@ -110,6 +111,9 @@ def _unavailable(marker: str) -> str | None:
         from tests.native import RUST_TALKER
 
         return None if RUST_TALKER.exists() else "tools/rust has not built the node in Rust (it says why)"
+    if marker == "ansible":
+        installed = Path(__file__).parents[1] / ".venv-ansible" / "bin" / "ansible-playbook"
+        return None if installed.exists() else "ansible-core is not installed (`make ansible`)"
     from midstride.errors import AlloyMissing
     from midstride.verify.run import find
 

@@ -2,7 +2,8 @@
 
 from std_msgs.msg import Bool, String
 
-from midstride import Component, Output, guarantee
+from midstride import Component, guarantee
+from midstride.node.author.ports import Output
 
 comp = Component("mission")
 state = comp.create_input("state", String)

@@ -328,6 +328,9 @@ def test_an_edited_program_is_a_difference_that_apply_makes(chain: Running) -> N
         assert midstride("diff", file, "--keep-code").out == "No differences.\n"
         kept = midstride("apply", file, "--yes", "--keep-code", "--json").json
         assert (kept["outcome"], kept["plan"]["steps"]) == ("done", [])
+        planned = midstride("apply", file, "--dry-run", "--json")
+        assert (planned.status, [each["action"] for each in planned.json["steps"]][-1]) == (0, "remove")
+        assert midstride("diff", file).status == 1, "a plan changes nothing"
         done = midstride("apply", file, "--yes")
         assert done.status == 0, done.out + done.err
         assert f"pass: code changed on disk: {program}" in done.out
@@ -342,10 +345,10 @@ def test_a_renamed_component_goes_on_under_its_new_name(chain: Running) -> None:
     before = midstride("status", "--json").json["instances"]
     new = chain.file(SYSTEM.replace("Pass", "Relay"), "new.stride")
     try:
-        assert midstride("diff", new).out == "component Pass: renamed\n  to Relay; its nodes keep running\n"
+        assert midstride("diff", new).out == "component Pass: renamed\n  to Relay; its nodes go on\n"
         done = midstride("apply", new, "--yes")
         assert done.status == 0, done.err
-        assert "component Pass is renamed Relay; its nodes keep running" in done.out
+        assert "component Pass is renamed Relay, and its nodes go on" in done.out
         after = midstride("status", "--json").json["instances"]
         assert [entry["pid"] for entry in after] == [entry["pid"] for entry in before]
         assert {entry["role"]: entry["component"] for entry in after}["pass"] == "Relay"

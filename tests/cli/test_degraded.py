@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import tempfile
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -54,6 +57,28 @@ def test_a_node_that_raises_right_after_up_is_named_with_exit_status_3(midstride
     assert midstride("why", "listener.listen").out.splitlines()[-1] == f"  {root}"
     status = midstride("status")
     assert f"specification: {tmp_path / 'programs' / 'talker.stride'}" in status.out.splitlines()
+
+
+def test_a_fault_ends_the_wait_for_all_to_stay_up(midstride: Midstride, tmp_path: Path) -> None:
+    file = raising(tmp_path / "programs", "talker.py")
+    program = Path(file).with_name("talker.py")
+    program.write_text(program.read_text().replace(">= 3", ">= 15"))
+    assert midstride("up", file, "--backend", "sim", "-d").status == 0
+    assert midstride("status", "--for", "0.1").status == 0
+    begun = time.monotonic()
+    found = midstride("status", "--for", "60", "--json")
+    assert found.status == 3 and time.monotonic() - begun < 30
+    assert "talker.talk is in mode degraded" in found.json["condition"]["faults"]
+
+
+@pytest.mark.full
+def test_a_manager_that_ends_ends_the_wait_for_all_to_stay_up(talker: Midstride) -> None:
+    waiting = talker.start("status", "--for", "60")
+    time.sleep(1)  # while it waits; where it has not begun to, it finds no manager
+    os.kill(talker.manager("talker"), signal.SIGKILL)
+    out, _ = waiting.communicate(timeout=30)
+    assert waiting.returncode == 1 and "manager of talker" in out
+    assert talker("up", str(EXAMPLES / "talker" / "talker.stride"), "--backend", "sim", "-d").status in (0, 3)
 
 
 SLOW = """calls = []
@@ -128,7 +153,7 @@ def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
             "Degraded: no instance serves talker.talk.",
             f"Missing: talker: {missing['talker'].splitlines()[0]}",
             "no device",
-            "Fix the cause, then `midstride restart talker`. The others keep running meanwhile.",
+            "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
         ]
         assert main(["up", str(file), "--backend", "sim", "--detach", "--json"]) == 3
         assert json.loads(capsys.readouterr().out) == {**report, "condition": encode(condition)}
@@ -166,7 +191,7 @@ def test_a_program_that_is_not_there_is_warned_of_before_and_named_at_the_start(
         assert "✗ 2/6 create talker (Talker)" in done.out
         assert done.out.splitlines()[-2:] == [
             "Missing: talker: the simulator runs `python3 FILE.py` and `python3 -m MODULE`, not `./nosuch --x`",
-            "Fix the cause, then `midstride restart talker`. The others keep running meanwhile.",
+            "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
         ]
         assert midstride("down").status == 0
         strict = midstride(command, str(folder / "talker.stride"), *options, "--strict")

@@ -113,6 +113,12 @@ class Session:
         ros2 = command.with_name("ros2")
         ros2.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{ROOT}/tests/ros2_command/ros2.py" "$@"\n')
         ros2.chmod(0o755)
+        shutil.copytree(ROOT / "ansible", folder / "ansible", ignore=shutil.ignore_patterns("__pycache__"))
+        for name in ("ansible-galaxy", "ansible-playbook"):  # with collections of the page's own
+            program = command.with_name(name)
+            collections = f'ANSIBLE_COLLECTIONS_PATH="{folder}/collections"'
+            program.write_text(f'#!/bin/sh\nexec "{ROOT}/tools/ansible" env {collections} {name} "$@"\n')
+            program.chmod(0o755)
         self.environment = {
             **{name: value for name, value in os.environ.items() if name != "MIDSTRIDE_DEMO"},
             "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}",
@@ -181,6 +187,7 @@ def name_of(page: Path) -> str:
 def marks(name: str) -> list[pytest.MarkDecorator]:
     """In `make test` are the pages that lead to the others."""
     needed = [pytest.mark.alloy] if name == "docs/how-to/verify.md" else []
+    needed += [pytest.mark.ansible] if name == "docs/how-to/fleets.md" else []
     needed += [pytest.mark.ros2] if name in ON_ROS_2 else []
     if name in LARGE:
         return [*needed, pytest.mark.long]

@@ -1,4 +1,4 @@
-"""The name of the user who runs this command, for the history and for locks."""
+"""Who runs this command, for the history and for locks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search for a program's own node in its process, where the program itself gives the node its name."""
+"""Which node of a process is the one of its program, where the program gives it its name itself."""
 
 from __future__ import annotations
 

@@ -54,10 +54,8 @@ _CAME: Final = " @"
 
 @dataclass(frozen=True)
 class PassableRequest:
-    """A request of ``service`` that another instance handles.
-
-    ``data`` is its form on the way. ``respond``, on any thread, sends the response that comes back.
-    """
+    """How a request of ``service`` is handled by another instance: ``data`` is its form on the way, and ``respond``,
+    on any thread, sends the response that comes back."""
 
     service: str
     data: Callable[[], bytes]

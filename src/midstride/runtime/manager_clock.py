@@ -21,11 +21,11 @@ class Clock(Protocol):
         """ROS time in nanoseconds."""
 
     def processors(self) -> int:
-        """The number of processors on which the components run."""
+        """How many processors the components run on."""
         ...
 
     def idle(self) -> float:
-        """The time for which the processors have been idle, in total (s)."""
+        """How long the processors have been idle, in total (s)."""
         ...
 
     async def sleep(self, seconds: float) -> None:

@@ -129,7 +129,7 @@ def restart_command(
     same_process: bool,
     options: RequestOptions,
 ) -> int:
-    """Restart nodes with the code now on disk: each is handed over to a new instance.
+    """Start nodes again, with what their programs are now: each is handed over to a new instance.
 
     The name of a container stands for all of its nodes, which move to a new process together. The plan says what is
     lost on the way, and of which nodes nothing is measured, as of one without ports.
@@ -209,12 +209,14 @@ def remove_command(
 
 @click.command("apply")
 @specification_argument("new", metavar="[PACKAGE] NEW")
+@click.option("--dry-run", is_flag=True, help="Show the plan, and change nothing.")
 @click.option("--keep-code", is_flag=True, help="Do not replace nodes only because their code has changed on disk.")
 @change_options.declared_parameters_option
 @change_options.same_process_option
 @request_options
 def apply_command(
     new: Path,
+    dry_run: bool,
     keep_code: bool,
     declared_parameters: bool,
     same_process: bool,
@@ -239,7 +241,7 @@ def apply_command(
             )
         out = console(stderr=wants_json())
         for before, after in renamed_components(running.components, target.components):
-            out.print(f"component {before} is renamed {after}; its nodes keep running", markup=False)
+            out.print(f"component {before} is renamed {after}, and its nodes go on", markup=False)
         for node, files in sorted(changed.items()):
             out.print(f"{node}: {code_words(files)}", markup=False)
         for line in other_overlay(programs):
@@ -251,7 +253,7 @@ def apply_command(
             "same_process": same_process,
         }
 
-    return change(options, request, f"apply {new.name}", file=str(absolute(new)))
+    return change(options, request, f"apply {new.name}", dry_run, file=str(absolute(new)))
 
 
 def _component_of(file: Path | None, name: str) -> ComponentSpec | None:

@@ -24,15 +24,27 @@ if TYPE_CHECKING:
 @click.command("status")
 @click.argument("nodes", nargs=-1, metavar="[NODE]...", shell_complete=shell_completion.nodes)
 @click.option("--verbose", "-v", is_flag=True, help="Also what each port measures, and how each component runs.")
+@click.option(
+    "--for",
+    "watched",
+    type=click.FloatRange(0),
+    metavar="SECONDS",
+    help="Wait until all has been up for so long, or is not, and show the status then.",
+)
 @system_option
 @json_option
-def status_command(nodes: tuple[str, ...], verbose: bool, system: str | None) -> int:
+def status_command(nodes: tuple[str, ...], verbose: bool, watched: float | None, system: str | None) -> int:
     """Show nodes, modes and topics, as the components report them. Exit status 3 if not all is up, 1 if nothing runs.
 
     With names of nodes or instances, these and their topics, and the problems of the system.
     """
     client, _ = find(system)
-    status = client.status()
+    if watched is None:
+        status = client.status()
+    else:
+        from midstride.cli.first_fault import status_at_first_fault
+
+        status = status_at_first_fault(client, watched)
     if nodes:
         status = _narrowed(status, nodes)
     if wants_json():

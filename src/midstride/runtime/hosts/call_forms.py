@@ -154,7 +154,7 @@ class HandleForm(WireValue, frozen=True, kw_only=True):
 
 
 class StopTimesForm(WireValue, frozen=True, kw_only=True):
-    """The times for ending a process."""
+    """How a process is ended."""
 
     sigterm: float
     sigkill: float

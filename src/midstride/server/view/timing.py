@@ -1,4 +1,4 @@
-"""The moments at which the live view is built, and the alarms that cause it."""
+"""When the live view is built, and the alarms by which it is."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOOK: Final = 1.0
 
 
 def measurements_interval(components: int) -> float:
-    """The interval at which measurements are refreshed in a system of so many components (s)."""
+    """How often measurements are refreshed in a system of so many components (s)."""
     return max(MEASURED_EVERY, components / REFRESHED)
 
 
