@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-long pythons middlewares ansible mutants wheel bench docs reference changelog recording animation screenshots lint alloy verify
+.PHONY: help demo test test-all test-long pythons middlewares ansible mutants wheel dist bench docs reference changelog recording animation screenshots lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -40,6 +40,9 @@ mutants: ## how many small changes of the code a test notices (ARGS='--mutants 3
 wheel: ## build the wheel, install it into an empty environment, and use it from there
 	@tools/wheel
 
+dist: ## everything of a release but its upload, into dist/ (RELEASING.md)
+	@tools/dist
+
 bench: ## every benchmark, one after another: a table each, and JSON
 	@tools/setup test
 	@tools/in-venv tools/bench $(ARGS)
@@ -74,10 +77,11 @@ verify: ## every proof, and every check of the Alloy specification to scope 5 (A
 	@[ -n "$$MIDSTRIDE_ALLOY" ] || tools/alloy
 	@tools/in-venv midstride prove --alloy $(ARGS)
 
-lint: ## ruff and mypy, the types of the dashboard's modules, and whether the generated pages of docs/ are up to date
+lint: ## ruff, mypy, words, the types of the dashboard's modules, and whether the generated pages of docs/ are up to date
 	@tools/setup test
 	@tools/in-venv ruff check .
 	@tools/in-venv ruff format --check .
 	@tools/in-venv mypy src tests tools/*.py ansible/plugins/module_utils
+	@tools/in-venv python -m tools.words
 	@tools/in-venv python -m tools.reference --check
 	@tools/check-dashboard

@@ -42,6 +42,7 @@ NAVIGATION = {
         *(f"docs/{page}" for page in ("decisions/README", "paper", "glossary")),
         "CHANGELOG",
     ],
+    "Contribute": ["CONTRIBUTING", "docs/style", "HACKING", "SECURITY", "RELEASING"],
 }
 
 # Pages that are listed by another one, below which they are.
@@ -54,7 +55,7 @@ author = "the authors of Midstride"
 version = release = midstride.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc"]
 root_doc = "README"
-include_patterns = ["README.md", "CHANGELOG.md", "docs/**.md", "examples/*/README.md"]
+include_patterns = ["*.md", "docs/**.md", "examples/*/README.md"]
 exclude_patterns = [".*", "benchmarks", "build", "dist", "editors", "site", "src", "tests", "tools"]
 
 myst_heading_anchors = 4  # as on GitHub

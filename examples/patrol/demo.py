@@ -225,7 +225,7 @@ async def hung(environment: DemoEnvironment) -> Outcome:
 
 async def without_a_manager(environment: DemoEnvironment) -> str:
     """The manager of the demonstration hands over to one that can be killed, which is what happens to it."""
-    await environment.manager.close()  # its components go on
+    await environment.manager.close()  # its components keep running
     if isinstance(environment.backend, Simulator):
         life = Life(environment.backend)
         doomed = Manager(environment.manager.specification, life.backend, environment.workspace, environment.folder)

@@ -13,7 +13,7 @@ from typing import Any
 
 
 class Fork:
-    """Forks when it is made, and both processes go on: the child by ``end``, its parent by ``result``.
+    """Forks when it is made, and both processes continue: the child by ``end``, its parent by ``result``.
 
     On an event loop that has no sockets: those would be shared.
     """

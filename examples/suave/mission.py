@@ -2,8 +2,7 @@
 
 from std_msgs.msg import Bool, String
 
-from midstride import Component, guarantee
-from midstride.node.author.ports import Output
+from midstride import Component, Output, guarantee
 
 comp = Component("mission")
 state = comp.create_input("state", String)

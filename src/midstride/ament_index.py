@@ -1,4 +1,4 @@
-"""Where ROS 2 packages are installed: the ament index below each prefix of AMENT_PREFIX_PATH, read without ROS."""
+"""The folders of installed ROS 2 packages: the ament index of each prefix in AMENT_PREFIX_PATH, read without ROS."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ class CommandRefused(MidstrideError):
 
 
 class RevisionChanged(CommandRefused):
-    """A component refused a command because it has changed since it was last heard of. Observed again, it may do."""
+    """A component refused a command because it has changed since its last report. Observe it and retry."""
 
 
 class ImportRefused(CommandRefused):

@@ -72,7 +72,7 @@ async def planned_for_a_while(system: Robot, component: str) -> None:
     """The plan says where goals in progress go on, and for how long at most."""
     planned = await system.manager.plan(PlanRequest(replace=(("talker", component),)))
     (goals,) = (each.words for each in planned.besides if each.words.startswith("goals of others"))
-    assert "ROS action /count: they go on at talker" in goals
+    assert "ROS action /count: they continue at talker" in goals
     assert "for at most 60 s (`patience`)" in goals
     (between,) = (step.between for step in planned.steps if step.action.kind == "remove")
     assert between is not None and between[1] >= 60.0

@@ -453,7 +453,7 @@ async def restarted(robot: Robot) -> None:
         assert "no ports are stated" in words
         assert ("so both could write there" in words) == (gate == "none")
         assert (f"service /save/{role} ended with {role}" in words) == (gate == "none")
-        assert f"at service /ask/{role}: they went on" in words
+        assert f"at service /ask/{role}: they continued" in words
         assert {name for _, name in robot.heard[role]} == {role, f"{role}_2"}
     outcome, said = await robot.change("R13 restart", ["none"], strategy="paper")
     assert outcome.outcome == "done" and said.verdict == "lost" and "is not known" in said.lines[0], said

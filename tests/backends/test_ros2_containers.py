@@ -422,8 +422,8 @@ def test_a_late_node_that_is_not_unloaded_is_said_once(made: Made, caplog: pytes
         await made.until(lambda: not made.shared.unanswered)
         assert made.backend.hanging() == []
         assert (made.world.nodes, made.world.asked) == (["/a"], ["/b"] * 4)
-        said = [each.getMessage() for each in caplog.records if "is to go" in each.getMessage()]
-        assert said == ["/b is in it, and is to go: it refuses; box is asked again until it has unloaded it"]
+        said = [each.getMessage() for each in caplog.records if "is being removed" in each.getMessage()]
+        assert said == ["/b is in it, and is being removed: it refuses; box is asked again until it has unloaded it"]
 
     run(made, body())
 

@@ -345,10 +345,10 @@ def test_a_renamed_component_goes_on_under_its_new_name(chain: Running) -> None:
     before = midstride("status", "--json").json["instances"]
     new = chain.file(SYSTEM.replace("Pass", "Relay"), "new.stride")
     try:
-        assert midstride("diff", new).out == "component Pass: renamed\n  to Relay; its nodes go on\n"
+        assert midstride("diff", new).out == "component Pass: renamed\n  to Relay; its nodes keep running\n"
         done = midstride("apply", new, "--yes")
         assert done.status == 0, done.err
-        assert "component Pass is renamed Relay, and its nodes go on" in done.out
+        assert "component Pass is renamed Relay; its nodes keep running" in done.out
         after = midstride("status", "--json").json["instances"]
         assert [entry["pid"] for entry in after] == [entry["pid"] for entry in before]
         assert {entry["role"]: entry["component"] for entry in after}["pass"] == "Relay"

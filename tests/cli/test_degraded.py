@@ -153,7 +153,7 @@ def test_up_that_cannot_start_a_node_says_which_why_and_what_to_do(
             "Degraded: no instance serves talker.talk.",
             f"Missing: talker: {missing['talker'].splitlines()[0]}",
             "no device",
-            "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
+            "Fix the cause, then `midstride restart talker`. The others keep running meanwhile.",
         ]
         assert main(["up", str(file), "--backend", "sim", "--detach", "--json"]) == 3
         assert json.loads(capsys.readouterr().out) == {**report, "condition": encode(condition)}
@@ -191,7 +191,7 @@ def test_a_program_that_is_not_there_is_warned_of_before_and_named_at_the_start(
         assert "✗ 2/6 create talker (Talker)" in done.out
         assert done.out.splitlines()[-2:] == [
             "Missing: talker: the simulator runs `python3 FILE.py` and `python3 -m MODULE`, not `./nosuch --x`",
-            "Fix the cause, then `midstride restart talker`. The others go on meanwhile.",
+            "Fix the cause, then `midstride restart talker`. The others keep running meanwhile.",
         ]
         assert midstride("down").status == 0
         strict = midstride(command, str(folder / "talker.stride"), *options, "--strict")

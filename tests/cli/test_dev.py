@@ -451,7 +451,7 @@ def test_dev_swaps_what_is_saved_and_refuses_what_is_faulty(midstride: Midstride
         assert "talker (talker.py): swapped in" in shown
         write(project / "talker.py", "def normal()", "def normal(")
         shown = terminal.until("SyntaxError")
-        assert "talker (talker.py): not let in, the old code goes on" in shown
+        assert "talker (talker.py): rejected; the old code keeps running" in shown
         write(project / "talker.stride", "50 Hz", "5O Hz")
         terminal.until("is not a valid unit for a rate")
         write(project / "talker.stride", "5O Hz", "50 Hz")

@@ -221,6 +221,20 @@ def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
     assert " ".join(lines[2].split()) == "talker Talker 7, not responding talk unknown last known mode: normal"
 
 
+def test_each_host_has_a_line_and_its_nodes_are_unreachable_while_it_is() -> None:
+    near = {"name": "base", "destination": "robot@base", "connected": True, "since": 0.0, "because": None}
+    far = {**near, "name": "arm", "destination": "robot@arm", "connected": False, "because": "is it switched on?"}
+    hosts = [{**near, "version": "1.2.3", "instances": []}, {**far, "version": "", "instances": ["a"]}]
+    fault = {"kind": "unreachable", "instance": "a", "words": "a is unreachable, with host arm"}
+    lost = component("a", host="arm", reachable=False, unreachable=True, functionalities=[functionality("x")])
+    lines = shown(render_status.status(status(lost, component("b", host="base"), hosts=hosts, silences=[fault])))
+    words = " ".join(" ".join(lines).split())
+    assert "host base (robot@base): connected since" in words and "; no node" in words
+    assert "host arm (robot@arm): unreachable since" in words
+    assert "; nothing is known of a, and nothing is started elsewhere: is it switched on?" in words
+    assert "7 on arm, unreachable" in words and "with host arm" not in words
+
+
 def test_a_component_without_functionalities_has_a_line_too() -> None:
     assert shown(render_status.status(status(component("talker"))))[2].split() == ["talker", "Talker", "7", "none"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -63,6 +64,19 @@ class Robot:
     def instance(self, role: str) -> Any:
         (found,) = (each for each in self.status["instances"] if each["role"] == role)
         return found
+
+    def modes(self, role: str) -> list[str]:
+        return [each["mode"] for each in self.instance(role)["functionalities"]]
+
+    def running(self, program: str) -> list[int]:
+        """The processes of this program in the test's folders, by number."""
+        found = []
+        for path in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                words = (path / "cmdline").read_bytes().split(b"\0")
+                if program.encode() in words and self.folder in (path / "cwd").resolve().parents:
+                    found.append(int(path.name))
+        return sorted(found)
 
     def until(self, condition: Callable[[], bool], what: str, seconds: float = SECONDS) -> None:
         deadline = time.monotonic() + seconds
@@ -170,6 +184,49 @@ def test_a_host_outlives_the_manager_the_link_and_its_own_process(robot: Robot) 
 def _until_said(robot: Robot, words: str) -> str:
     robot.until(lambda: words in robot("log", "--all").out, words)
     return robot("log", "--all").out
+
+
+OTHER_WAY = """
+topic /back : Text
+
+node caller : Talker { out -> /back }
+node hearer : Listener on arm { in <- /back }
+"""
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_while_the_link_is_cut_each_side_degrades_what_relies_on_the_other_and_then_all_is_as_it_was(
+    robot: Robot,
+) -> None:
+    """To the nodes on `arm`, it is the manager's host that is cut off."""
+    robot.text += OTHER_WAY
+    assert robot("up", robot.file, "-d").status == 0
+    before = {each["name"]: each["pid"] for each in robot.status["instances"]}
+    (host,) = robot.status["hosts"]
+    assert host["connected"] and host["instances"] == ["hearer", "talker"] and host["version"]
+    assert "host arm (arm): connected since" in robot("status").out
+    robot.hosts.link("down")
+    robot.until(lambda: robot.instance("talker")["unreachable"], "the host is unreachable")
+    robot.until(lambda: robot.modes("listener") == ["degraded"], "what relies on the host is degraded")
+    shown = robot("status")
+    assert shown.status == 3 and "host arm (arm): unreachable since" in shown.out, shown.out
+    assert "nothing is known of hearer, talker" in shown.out
+    assert robot.status["crashed"] == []
+    assert "host arm cannot be reached" in robot("why", "talker.talk").out
+    refused = robot("restart", "talker", "--yes")
+    assert refused.status != 0 and "host arm cannot be reached" in refused.out + refused.err
+    assert set(robot.running("talker.py")) == {before["talker"], before["caller"]}  # nothing is started elsewhere
+    log = next((robot.workspace / "logs").glob("hearer*.log"))
+    robot.until(lambda: "I hear nothing" in log.read_text(), "what relies on the manager's host is degraded there")
+    robot.hosts.link("up")
+    robot.until(lambda: robot.status["condition"]["state"] == "up", "all is as it was")
+    after = robot.status
+    assert {each["name"]: each["pid"] for each in after["instances"]} == before and after["valid"]
+    assert after["hosts"][0]["connected"] and after["hosts"][0]["since"] > host["since"]
+    replaced = robot("replace", "talker", "NewTalker", "--yes", "--json")
+    assert replaced.status == 0 and replaced.json["swaps"][0]["missed"] == 0, replaced.out + replaced.err
+    assert robot("down").status == 0
 
 
 @pytest.mark.long

@@ -147,7 +147,7 @@ def test_there_is_a_difference_iff_they_differ(one: Specification, other: Specif
 
 def test_a_component_that_is_only_renamed_is_renamed() -> None:
     assert changed(("ObstacleDetector", "Detector")) == [
-        "component ObstacleDetector: renamed\n  to Detector; its nodes go on"
+        "component ObstacleDetector: renamed\n  to Detector; its nodes keep running"
     ]
     both = changed(("ObstacleDetector", "Detector"), ("functionality detect weight 3", "functionality detect weight 4"))
     assert not any("renamed" in difference for difference in both)

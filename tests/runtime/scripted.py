@@ -36,6 +36,7 @@ from midstride.runtime.backend_protocol import (
     Endpoints,
     Exited,
     Handle,
+    HostLinkState,
     Launch,
     OtherNodes,
     RemainingProcess,
@@ -324,6 +325,7 @@ class ScriptedBackend:
         self.clock = clock
         self.transport: Transport = PipeNetwork()
         self.launches: list[Launch] = []
+        self.links: list[HostLinkState] = []
         self.running: set[str] = set()
         self.ended: list[tuple[str, StopTimes]] = []
         self.disconnections: list[str] = []
@@ -347,6 +349,9 @@ class ScriptedBackend:
         self, hosts: Mapping[str, HostSpec], token: str, note: Callable[[str], object]
     ) -> Mapping[str, str]:
         return {}
+
+    def host_links(self) -> Sequence[HostLinkState]:
+        return self.links
 
     def describe(self, launch: Launch) -> DescribedProcess:
         return DescribedProcess(launch.arguments)

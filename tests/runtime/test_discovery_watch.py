@@ -39,7 +39,7 @@ def test_a_standstill_is_noticed_although_data_flows(name: str, tmp_path: Path) 
         [fault] = status.silences
         assert not status.valid and fault.kind == "not_discovering"
         assert isinstance(fault.seconds, float) and 0 < fault.seconds < NOTICED
-        words = f"{name} discovers no new endpoints, although its data flows: its middleware stands still"
+        words = f"{name} discovers no new endpoints, although its data flows: its middleware has hung"
         assert [event.words for event in manager.log() if event.kind == "silence"] == [words]
 
     managed("talker", tmp_path, body)
@@ -90,7 +90,7 @@ def test_where_none_discovers_the_probe_the_manager_is_suspected(tmp_path: Path)
         await asyncio.sleep(2 * INTERVAL)
         assert faults(manager) == []
         [note] = [event.words for event in manager.log() if event.kind == "note"]
-        assert "the manager's own middleware may stand still" in note
+        assert "the manager's own middleware may have stopped discovering" in note
 
     managed("talker", tmp_path, body)
 

@@ -15,8 +15,9 @@ from midstride.errors import ManagerError, PlanRefused
 from midstride.model.hosts import HostSpec
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend_protocol import Handle, Launch
+from midstride.runtime.backend_protocol import Handle, HostLinkState, Launch
 from midstride.runtime.manager import Manager
+from midstride.runtime.records.status_forms import HostStatus
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import EXAMPLES, example, managed, saved
 
@@ -37,8 +38,21 @@ class OneHost(Simulator):
 
 
 class Hosts(OneHost):
+    """Its hosts are reached unless they are ``lost``."""
+
     name = "sim"
     reaches_hosts = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lost: set[str] = set()
+
+    def host_links(self) -> list[HostLinkState]:
+        problem = "is it switched on?"
+        return [
+            HostLinkState(name, f"robot@{name}", 1000.0, problem if name in self.lost else None, "1.2.3")
+            for name in ("arm", "base")
+        ]
 
 
 def on_hosts(**hosts: str) -> Specification:
@@ -88,6 +102,47 @@ def test_a_move_is_refused_where_the_back_end_hands_nothing_over_between_hosts(t
         assert outcome.outcome == "refused"
         assert "talker would move from host arm to host base by a hand-over" in str(outcome.because)
         assert (await manager.change(PlanRequest(restart=("talker",)))).outcome == "done"
+
+    managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
+
+
+def test_the_nodes_of_a_host_that_cannot_be_reached_are_unreachable_and_not_crashed(tmp_path: Path) -> None:
+    platform = Hosts()
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        found = await manager.status()
+        assert [(each.name, each.connected, each.instances) for each in found.hosts] == [
+            ("arm", True, ["talker"]),
+            ("base", True, []),
+        ]
+        assert found.condition.state == "up" and manager.watched.monitor.faults(manager.configuration) == []
+        platform.lost = {"arm"}
+        assert (await manager.status()).instances[1].unreachable is False  # it has reported just now
+        simulator.faults.freeze("talker", 60.0)
+        await simulator.clock.sleep(5.0)
+        found = await manager.status()
+        assert found.hosts[0] == HostStatus(
+            name="arm",
+            destination="robot@arm",
+            connected=False,
+            since=1000.0,
+            because="is it switched on?",
+            version="1.2.3",
+            instances=["talker"],
+        )
+        listener, talker = found.instances
+        assert (talker.reachable, talker.unreachable, listener.unreachable) == (False, True, False)
+        assert talker.deviation == "its host arm cannot be reached"
+        assert found.crashed == [] and {each.kind for each in found.silences} == {"unreachable"}
+        assert found.condition.faults == ["host arm cannot be reached, so nothing is known of talker"]
+        assert (await manager.why("talker.talk")).remedies == [
+            "host arm cannot be reached: is it switched on?; the manager connects again by itself"
+        ]
+        outcome = await manager.change(PlanRequest(restart=("talker",)))
+        assert outcome.outcome == "refused"
+        assert outcome.because == ("talker_2 cannot be changed now: host arm cannot be reached: is it switched on?")
+        assert (await manager.change(PlanRequest(restart=("listener",)))).outcome == "done"
+        assert {each.instance for each in platform.launches} == {"talker", "listener", "listener_2"}
 
     managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
 

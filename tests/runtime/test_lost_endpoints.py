@@ -57,15 +57,15 @@ def test_plan_and_report_name_the_goals_of_a_component_with_the_api(
         monkeypatch.setattr(manager._client, "endpoints", lambda name: GOALS if name == "talker" else [])
         plan = await manager.plan(PlanRequest(restart=("talker",)))
         assert [each.words for each in plan.besides] == [
-            "goals of others that are under way at ROS action /dock: they go on at talker, which runs beside its "
+            "goals of others that are under way at ROS action /dock: they continue at talker, which runs beside its "
             "replacement until they have ended, for at most 60 s (`patience`); what is left then is cancelled",
-            "requests and goals of talker that are under way at ROS action /pick and service /map: they go on when it "
-            "ends, and it gets no answer",
+            "requests and goals of talker that are under way at ROS action /pick and service /map: they continue when "
+            "it ends, and it gets no answer",
         ]
         outcome = await manager.change(PlanRequest(restart=("talker",)))
         assert isinstance(outcome.continuity, Assessments) and outcome.continuity.verdict == "not_measurable"
         assert [each.words for each in outcome.continuity.found] == [
-            "requests and goals of talker that are under way at ROS action /pick and service /map: they went on, "
+            "requests and goals of talker that are under way at ROS action /pick and service /map: they continued, "
             "and it got no answer",
         ]
 
@@ -81,8 +81,8 @@ def test_a_roll_back_names_what_has_ended_with_the_new_instance_and_not_what_goe
         outcome = await manager.change(PlanRequest(restart=("talker",)))
         assert outcome.outcome == "rolled_back" and isinstance(outcome.continuity, Assessments)
         assert [each.words for each in outcome.continuity.found if each.subject.startswith("talker")] == [
-            "requests and goals of talker_2 that are under way at ROS action /pick and service /map: they went on, and "
-            "it got no answer",
+            "requests and goals of talker_2 that are under way at ROS action /pick and service /map: they continued, "
+            "and it got no answer",
         ]
 
     managed("talker", tmp_path, body)
@@ -149,8 +149,8 @@ def test_a_plan_for_a_system_that_does_not_run_says_what_it_cannot_know() -> Non
 
 
 GOES_ON = (
-    "goals of others that are under way at ROS action /dock: they go on at mapper, which runs beside its replacement "
-    "until they have ended, for at most 60 s (`patience`); what is left then is cancelled"
+    "goals of others that are under way at ROS action /dock: they continue at mapper, which runs beside its "
+    "replacement until they have ended, for at most 60 s (`patience`); what is left then is cancelled"
 )
 
 
@@ -349,8 +349,8 @@ def test_a_plan_says_for_how_long_the_goals_of_a_server_with_the_api_go_on() -> 
 
     (words,) = said(None)
     assert words == (
-        "goals of others that are under way at ROS action /A: they go on at a, which runs beside its replacement until "
-        "they have ended, for at most 60 s (`patience`); what is left then is cancelled"
+        "goals of others that are under way at ROS action /A: they continue at a, which runs beside its replacement "
+        "until they have ended, for at most 60 s (`patience`); what is left then is cancelled"
     )
     assert said("preload") == said(None, "stop") == []
 

@@ -38,6 +38,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
         clock=clock,
         middleware=lambda: Middleware(name="none"),
         spares=lambda: 0,
+        host_links=tuple,
         unwritten=lambda: None,
         hanging=list,
     )

@@ -217,7 +217,7 @@ def test_a_change_that_arrives_after_the_manager_was_told_to_end_is_refused(work
             arriving.set()
             refused = await changing
             assert refused.status_code == 409
-            assert "begins nothing more" in refused.json()["error"]["message"]
+            assert "the manager is shutting down" in refused.json()["error"]["message"]
             assert await asyncio.wait_for(server, 20) == 128 + signal.SIGTERM
         assert [operation for operation, _ in manager.asked] == ["up", "close"]
 

@@ -91,7 +91,7 @@ def test_the_watchdog_is_fed_from_the_loop_and_starves_with_it(workspace: Worksp
         assert "EXTEND_TIMEOUT_USEC=30000000" not in told.came[-1]  # it has nothing to do
         os.kill(os.getpid(), signal.SIGTERM)
         assert await asyncio.wait_for(server, 20) == 128 + signal.SIGTERM
-        assert told.all()[-1] == ["STOPPING=1", "STATUS=the manager ends, and its components go on"]
+        assert told.all()[-1] == ["STOPPING=1", "STATUS=the manager ends, and its components keep running"]
 
     run(test)
 

@@ -561,6 +561,22 @@ declare namespace Api {
     folder?: string;
   }
 
+  /** The link to another host than the manager's, where the manager has started nodes, or may. While it is down, nothing is known of the nodes there, and nothing is started elsewhere. The manager connects again by itself. */
+  interface HostStatus {
+    name: string;
+    /** as `ssh` takes it */
+    destination: string;
+    connected: boolean;
+    /** from when on that has been so */
+    since: number;
+    /** why it cannot be reached, and what to do; null: it is connected */
+    because: string | null;
+    /** of Midstride there; empty: not known */
+    version: string;
+    /** that run there, as far as is known */
+    instances: string[];
+  }
+
   /** An event besides changes, such as an instance that exited. */
   interface Incident {
     at: number;
@@ -617,6 +633,8 @@ declare namespace Api {
     pid: number | null;
     /** it has reported its state in the last 2 s */
     reachable: boolean;
+    /** its host cannot be reached: whether it runs is not known */
+    unreachable: boolean;
     /** it answers requests to its node's services */
     answers: boolean;
     /** it has been asked to end */
@@ -970,6 +988,7 @@ declare namespace Api {
     changed_since?: boolean;
     middleware?: Middleware;
     spares?: SpareStatus;
+    hosts?: HostStatus[];
     change?: ChangeView | null;
   }
 
@@ -1254,7 +1273,7 @@ declare namespace Api {
     host?: string;
   }
 
-  /** When a node that has crashed is started again; `{}`: with the defaults. */
+  /** The policy for starting a crashed node again; `{}`: with the defaults. */
   interface RespawnForm {
     /** the delay before the first restart */
     delay_seconds?: number;
@@ -1380,7 +1399,7 @@ declare namespace Api {
 
   /** A component that does not answer, or a port that has been silent for so long (null: unknown). */
   interface SilenceFault {
-    kind: "not_answering" | "not_discovering" | "not_publishing" | "not_receiving" | "not_responding";
+    kind: "not_answering" | "not_discovering" | "not_publishing" | "not_receiving" | "not_responding" | "unreachable";
     instance: string;
     port: string | null;
     topic: string | null;
@@ -1446,7 +1465,7 @@ declare namespace Api {
     seconds: number | null;
   }
 
-  /** How long a step took, and when it began after the first one, in seconds. Steps that overlap are in one round. */
+  /** The duration of a step, and its begin after the first one, in seconds. Steps that overlap are in one round. */
   interface StepTime {
     /** its number in the plan, from 1 */
     step: number;
@@ -1465,7 +1484,7 @@ declare namespace Api {
     failed: boolean;
   }
 
-  /** How a program without Midstride's API is ended: with SIGINT, after a time SIGTERM, after another SIGKILL. A signal that has 0 s to take effect is not sent. */
+  /** The way to end a program without Midstride's API: with SIGINT, after a time SIGTERM, after another SIGKILL. A signal that has 0 s to take effect is not sent. */
   interface StopForm {
     /** how long after SIGINT */
     sigterm?: number;
@@ -1477,7 +1496,7 @@ declare namespace Api {
     patience?: number;
   }
 
-  /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although what its changes require does not hold. */
+  /** A request to be carried out. `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait until this change has been measured over 20 periods. `wait`: after how many seconds a hung component that is being replaced is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command` belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked; `despite_requirements`: although what its changes require does not hold. */
   interface SubmittedChange {
     request: ChangeRequest;
     expected?: number | null;
@@ -1567,6 +1586,8 @@ declare namespace Api {
     changed_since: boolean;
     middleware: Middleware;
     spares: SpareStatus;
+    /** other than the manager's */
+    hosts: HostStatus[];
     version: number;
     /** of this run of the manager: numbers of another one mean nothing to it */
     manager: string;
@@ -1594,7 +1615,7 @@ declare namespace Api {
     events: Event[];
   }
 
-  /** How long steps take, where known, and what a hand-over takes its time for. */
+  /** The durations of steps, where known, and what a hand-over takes its time for. */
   interface TimingForm {
     attach?: number;
     create?: number;
@@ -1692,7 +1713,7 @@ declare namespace Api {
     seconds: number;
   }
 
-  /** Why a functionality of a node is in its mode: its own reason, what each better mode lacks, and what to do. */
+  /** The reason why a functionality of a node is in its mode: its own, what each better mode lacks, and what to do. */
   interface Why {
     functionality: string;
     /** of the node: the one that was looked at */

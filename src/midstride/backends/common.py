@@ -31,7 +31,7 @@ _POLL: Final = 0.002
 
 
 def control_transport(environment: Mapping[str, str], arguments: Sequence[str]) -> tuple[SocketFolder | None, str]:
-    """Where a component listens for its manager, and the same in words; None where it belongs to no system.
+    """The address at which a component listens for its manager, also in words; None where it belongs to no system.
 
     The manager passes the folder. A component started by hand names its system, by ``--system NAME`` on its command
     line or by MIDSTRIDE_SYSTEM. Raises NodeError where that names no system, or where its folder cannot be used.

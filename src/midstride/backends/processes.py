@@ -272,7 +272,7 @@ class ProcessBackend(abc.ABC):
                 process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
 
     async def _stop_watching(self) -> None:
-        """The processes go on, but for spares."""
+        """Stop watching; the processes keep running, except spares."""
         if self._spares is not None:
             await self._spares.close()
         if self._upkeep is not None:

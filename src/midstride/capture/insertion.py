@@ -339,7 +339,7 @@ class _Inserter:
         return isinstance(item, NodeDeclaration)
 
     def _statement_of(self, node: NodeDeclaration) -> tuple[int, int]:
-        """Where the declaration of a node begins and ends, as offsets."""
+        """The offsets at which the declaration of a node begins and ends."""
         tokens = self.file.tokens
         start = tokens.starts[bisect_left(tokens.starts, node.name.span.start) - 1]  # the word `node`
         close = self._end_of_block(node.name.span.start)
@@ -366,7 +366,7 @@ class _Inserter:
         self.edits.append((offset, offset, "\n" + "\n".join(lines) + "\n"))
 
     def _end_of_block(self, name: int) -> int | None:
-        """Where the block of the declaration closes whose name is at an offset; None if it has none."""
+        """The offset at which the block of a declaration closes, by the offset of its name; None if it has none."""
         tokens = self.file.tokens
         index = bisect_left(tokens.starts, name)
         for at in range(index, min(index + 6, len(tokens.starts))):  # `X {`, `X like Y {`, `x : X {`, `x : X in y {`

@@ -95,7 +95,7 @@ class ObservedGraph:
         return [each for each in self.endpoints.values() if each.output and each.topic == topic]
 
     def times(self, endpoint: ObservedEndpoint) -> list[float] | None:
-        """When ``endpoint`` published, as far as it can be distinguished from others on its topic."""
+        """The times at which ``endpoint`` published, as far as it can be distinguished from others on its topic."""
         if (counted := self.counted.get((endpoint.node, endpoint.topic))) is not None:
             return counted
         if (endpoint.topic, endpoint.identity) in self._times:

@@ -1,4 +1,4 @@
-"""Which nodes of a graph are in one process, and which of these processes are component containers."""
+"""The nodes of a graph that are in one process, and the processes among these that are component containers."""
 
 from __future__ import annotations
 

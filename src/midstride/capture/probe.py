@@ -1,4 +1,4 @@
-"""Which outputs of a node depend on which of its inputs: one input at a time is closed, and opened again.
+"""The inputs on which each output of a node depends: one input at a time is closed, and opened again.
 
 Each input is closed ROUNDS times, and all are open for as long before and after. An output *depends* on the input if in
 every round it wrote less while that was closed, in all of them at most SLOWED times as fast, and if such a difference
@@ -96,7 +96,7 @@ def probed_inputs(ports: Iterable[ProbedPort]) -> list[ProbedPort]:
 
 
 def duration(inputs: int, seconds: float) -> float:
-    """How long it takes to probe so many inputs in ROUNDS rounds, each closed for ``seconds`` at a time (s)."""
+    """The time that it takes to probe so many inputs in ROUNDS rounds, each closed for ``seconds`` at a time (s)."""
     return (2 * ROUNDS * inputs + 1) * seconds
 
 

@@ -56,7 +56,7 @@ class ProposedPort:
         return f"{self.endpoint.node.rpartition('/')[0]}/{self.own_topic}"
 
     def declaration(self, *, of_program: bool = True) -> str:
-        """How a component states the port; ``of_program``: one whose program does not use Midstride's API."""
+        """The port as a component states it; ``of_program``: one whose program does not use Midstride's API."""
         own = f" as {self.stated_topic}" if of_program and self.stated_topic != self.name else ""
         words = KIND_WORDS[self.endpoint.kind]
         if self.endpoint.output:

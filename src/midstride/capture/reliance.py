@@ -1,4 +1,4 @@
-"""Which services and ROS actions become ports: those of which the graph shows that nodes here rely on them.
+"""The services and ROS actions that become ports: the graph shows that nodes here rely on them.
 
 A server that nothing here calls gets no port: what may call it is not in the graph, and a server that is declared has
 to be there always. A comment names it, with the reason.
@@ -51,7 +51,7 @@ def by_kind(graph: ObservedGraph, names: Collection[str]) -> list[str]:
 
 
 def why_not(graph: ObservedGraph, service: ObservedEndpoint) -> str:
-    """Why a specification cannot state a server or client, whatever relies on it; empty where it can."""
+    """The reason why a specification cannot state a server or client, whatever relies on it; empty where it can."""
     found = graph.on(service.topic)
     if found[0].kind == "topic":
         return "a topic has the name"

@@ -1,4 +1,4 @@
-"""How long servers took to answer while a graph was looked at, and the bound that is proposed for their guarantees."""
+"""The times that servers took to answer while a graph was looked at, and the bound proposed for their guarantees."""
 
 from __future__ import annotations
 

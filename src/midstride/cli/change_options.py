@@ -34,7 +34,7 @@ def strategy_options(function: Any) -> Any:
 
 
 def wait_option(function: Any) -> Any:
-    summary = "How long a node that hangs, and is to go, may take to return from its code before it is fenced."
+    summary = "How long to wait for a hung node that is being replaced before its outputs are blocked."
     return click.option(
         "--wait", type=click.FloatRange(0), default=5.0, show_default=True, metavar="SECONDS", help=summary
     )(function)

@@ -127,7 +127,7 @@ class Client:
         return self._form(list[ProgramStatus], "GET", "/programs")
 
     def why(self, functionality: str) -> Why:
-        """Why a functionality is in its mode. Raises PlanRefused for an unknown one."""
+        """The reason why a functionality is in its mode. Raises PlanRefused for an unknown one."""
         from midstride.runtime.records.status_forms import Why
 
         return self._form(Why, "GET", _with_query("/why", {"functionality": functionality}))
@@ -327,7 +327,7 @@ class Client:
 # What to do about a manager that has not the API that is used here.
 _OTHER_VERSION = (
     "another version of Midstride has started the manager. `midstride up FILE --replace-manager` has this version "
-    "manage the system, and its components go on; or use the `midstride` of that version"
+    "manage the system, and its components keep running; or use the `midstride` of that version"
 )
 
 

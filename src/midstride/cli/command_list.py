@@ -48,7 +48,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
     },
     "Changes to the running system": {
         "replace": ("change_commands", "replace a node's component"),
-        "restart": ("change_commands", "start nodes again, with what their programs are now"),
+        "restart": ("change_commands", "restart nodes with the code now on disk"),
         "add": ("change_commands", "add a node"),
         "remove": ("change_commands", "remove nodes"),
         "apply": ("change_commands", "change the system to another specification"),

@@ -1,4 +1,4 @@
-"""How a command that fails reports it: one clear line on standard error, and the exit status."""
+"""A failed command's report: one clear line on standard error, and the exit status."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ class Sending:
 
 @contextmanager
 def explained_when_interrupted(explain: Callable[[], str]) -> Iterator[None]:
-    """Where the block is interrupted, or the reader of its output has gone, print what ``explain`` says of its work."""
+    """If the block is interrupted, or the reader of its output has gone, print what ``explain`` says of its work."""
     try:
         yield
     except (KeyboardInterrupt, click.Abort, BrokenPipeError, SystemExit):  # rich exits where the reader has gone

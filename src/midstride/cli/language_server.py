@@ -131,7 +131,7 @@ def _units(text: str) -> int:
 
 
 def _column(line: str, units: int) -> int:
-    """How many characters of ``line`` precede a column given in UTF-16 code units."""
+    """The number of characters of ``line`` before a column given in UTF-16 code units."""
     encoded = line.encode("utf-16-le", "surrogatepass")[: 2 * units]
     return len(encoded.decode("utf-16-le", "ignore"))
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def history(system: str | None, latest: int) -> tuple[History, bool]:
-    """The ``latest`` changes and incidents, and whether a manager goes on with them. Raises as :func:`change` does."""
+    """The ``latest`` changes and incidents, and whether a manager continues them. Raises as :func:`change` does."""
     workspace = find_records(system)
     if (manager := _manager(workspace)) is not None:
         return manager.history(latest), True

@@ -130,7 +130,7 @@ def _requirements(plan: AnyPlan) -> Iterable[Text]:
 
 
 def _about(step: AnyStep) -> str:
-    """How long a step takes, and the shortest and the longest that was measured where they differ much."""
+    """The time that a step takes, with the shortest and the longest that was measured where they differ much."""
     return _with_remarks(step.seconds, _spread(step.between))
 
 
@@ -144,12 +144,12 @@ def _with_remarks(planned: float | None, remarks: list[str]) -> str:
 
 
 def planned_seconds(plan: AnyPlan) -> float:
-    """How long a plan takes as it is carried out (s)."""
+    """The time that a plan takes as it is carried out (s)."""
     return plan.duration or plan.seconds
 
 
 def _about_plan(plan: AnyPlan) -> str:
-    """How long a plan takes as it is carried out, with its range; beside it the sum of its steps where they overlap."""
+    """The time that a plan takes as it is carried out, with its range; and the sum of its steps where they overlap."""
     planned, total = planned_seconds(plan), plan.seconds
     in_sequence = [] if seconds(planned) == seconds(total) else [f"{seconds(total)} one step after another"]
     return _with_remarks(planned, [*_spread(plan.between), *in_sequence])
@@ -190,7 +190,7 @@ def _expected(plan: AnyPlan) -> Iterator[str]:
 
 
 def _fall(plan: AnyPlan, fall: Degradation) -> str:
-    """How far a functionality degrades, for how long and why; or how long one remains so that is degraded already."""
+    """The degradation of a functionality, for how long and why; or how long it remains if it is degraded already."""
     name, since, until, unserved = fall.functionality, fall.since, fall.until, fall.unserved
     if since == 0:
         mark, reasons = "Degraded already:", []
@@ -268,7 +268,7 @@ def _count(count: int | None) -> Text:
 
 
 def outcome(outcome: Outcome) -> RenderableType:
-    """How a change ended, what degraded and what was measured."""
+    """The outcome of a change: how it ended, what degraded and what was measured."""
     kind, because = outcome.outcome, outcome.because
     headline = {
         "done": f"[green]Done[/green] in {seconds(outcome.seconds)}",
@@ -342,7 +342,7 @@ def time_of_day(at: float) -> str:
 
 
 def history(history: History, *, in_progress: bool = True) -> RenderableType:
-    """The changes and the incidents, oldest first. ``in_progress``: a manager goes on with what has no outcome yet."""
+    """The changes and the incidents, oldest first. ``in_progress``: a manager continues what has no outcome yet."""
     from midstride.runtime.records.change_history import Incident
 
     left, right = ("", "when", "what", "outcome", "levels", "version"), ("steps", "missed", "gap", "took")

@@ -14,6 +14,7 @@ from midstride.cli.render import UNKNOWN, hertz, seconds, table
 from midstride.codec.parameter import from_json
 from midstride.model.contract import connector_kind
 from midstride.model.wording import KIND_WORDS
+from midstride.plan.runtime_values import time_of
 from midstride.runtime.backend_protocol import NAMES_ALL
 from midstride.runtime.records.status_forms import (
     ChangeLock,
@@ -38,7 +39,7 @@ def status(status: Status) -> RenderableType:
             first = ["", "", ""]
         for line in _others(component):
             live.add_row("", "", "", *line)
-    lines = [*_topics(status), *_unmet(status), *_programs(status), *_set(status), *_problems(status)]
+    lines = [*_hosts(status), *_topics(status), *_unmet(status), *_programs(status), *_set(status), *_problems(status)]
     return Group(Text.from_markup(_heading(status)), live, *_containers(status), *lines)
 
 
@@ -59,7 +60,7 @@ def _heading(status: Status) -> str:
 
 
 def lock_line(lock: ChangeLock) -> str:
-    """Who has locked the system, until when and why, and what that holds back."""
+    """The holder of the system's lock, until when and why, and what the lock holds back."""
     held = "commands, restarts and restoring" if lock.holds_recovery else "commands"
     words = f"{lock.words[0].upper()}{lock.words[1:]}"
     return f"{words} (it holds back {held}; `midstride unlock` ends it)"
@@ -73,7 +74,7 @@ def _process(component: InstanceStatus) -> Text:
     if component.done:
         return Text("done", style="dim")
     if not component.reachable:
-        return Text(f"{process}, not responding", style="red")
+        return Text(f"{process}, {'unreachable' if component.unreachable else 'not responding'}", style="red")
     return Text(process, style="dim")
 
 
@@ -115,6 +116,18 @@ def _containers(status: Status) -> Iterable[Text]:
             yield Text(f"{words}; `midstride restart {container}` brings all together", style="dim")
 
 
+def _hosts(status: Status) -> Iterable[Text]:
+    """The link to each other host."""
+    for host in status.hosts:
+        where = f"host {host.name} ({host.destination})"
+        nodes = ", ".join(host.instances) or "no node"
+        if host.connected:
+            yield Text(f"{where}: connected since {time_of(host.since)}; {nodes}", style="dim")
+            continue
+        words = f"nothing is known of {nodes}, and nothing is started elsewhere: {host.because}"
+        yield Text(f"{where}: unreachable since {time_of(host.since)}; {words}", style="red")
+
+
 def _topics(status: Status) -> Iterable[Text]:
     for topic in status.topics:
         # A topic that is satisfied without a publisher in scope is served by the environment.
@@ -147,7 +160,7 @@ def _attached(status: Status) -> Iterable[tuple[str, PortStatus]]:
 
 
 def _unmet(status: Status) -> Iterable[Text]:
-    """Where what is measured differs from what is declared. What a closed gate holds back is no promise to anything."""
+    """The differences between measured and declared. What a closed gate holds back breaks no promise."""
     for name, port in _attached(status):
         where = f"{name} on {port.topic}"
         if port.gate == "closed":
@@ -206,7 +219,11 @@ def _set(status: Status) -> Iterable[Text]:
 def _problems(status: Status) -> Iterable[Text]:
     problems = [
         *status.violations,
-        *(silence_in_words(fault.words, fault.seconds or None) for fault in status.silences),
+        *(
+            silence_in_words(fault.words, fault.seconds or None)
+            for fault in status.silences
+            if fault.kind != "unreachable"  # the line of its host says so
+        ),
     ]
     for crash in status.crashed:
         next_ = [] if crash.respawn is None else [crash.respawn.words]
@@ -221,7 +238,7 @@ def _problems(status: Status) -> Iterable[Text]:
 
 
 def platform(status: Status) -> RenderableType:
-    """How each component was started, and what is set for the middleware."""
+    """The way in which each component was started, and what is set for the middleware."""
     starts = table(["node", "ROS node", "started with", "clock", "log"])
     for component in status.instances:
         clock = "/clock" if component.simulated_time else "system"

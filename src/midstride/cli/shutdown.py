@@ -74,7 +74,7 @@ def _interrupted(sending: Sending, client: Client, workspace: Workspace) -> str:
         Sent.WITHDRAWN: "Nothing was stopped: the manager had not been asked yet.",
         Sent.NOT_KNOWN: f"Whether the manager stops {name} is not known: `midstride status` shows what runs.",
         Sent.WAITING: f"The manager stops {name} later: {waits}. `midstride status` shows what runs.",
-        Sent.BEGUN: f"The manager goes on stopping {name}: `midstride status` shows what still runs.",
+        Sent.BEGUN: f"The manager is still stopping {name}: `midstride status` shows what still runs.",
         Sent.ENDED: f"{name} could not be stopped whole: `midstride log` says what is left.",
     }[fate]
 

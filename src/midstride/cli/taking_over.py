@@ -1,4 +1,4 @@
-"""``up --replace-manager``: a manager of this version instead of the one that runs, while the components go on."""
+"""``up --replace-manager``: a manager of this version takes over from the one that runs; the components stay."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def end_earlier(workspace: Workspace, backend: str) -> None:
     while workspace.manager() == earlier:
         if time.monotonic() > end:
             raise ManagerError(
-                f"the manager of {workspace.name} (process {earlier}) was told to end and has not within "
-                f"{END_TIMEOUT:g} s. `kill -9 {earlier}` ends it alone, and its components go on; then "
+                f"the manager of {workspace.name} (process {earlier}) was asked to exit and has not within "
+                f"{END_TIMEOUT:g} s. `kill -9 {earlier}` ends it alone, and its components keep running; then "
                 "`midstride up FILE` takes over"
             )
         time.sleep(POLL)

@@ -1,4 +1,4 @@
-"""Who runs this command, for the history and for locks."""
+"""The name of the user who runs this command, for the history and for locks."""
 
 from __future__ import annotations
 

@@ -186,7 +186,7 @@ class FunctionalityForm(Form, frozen=True, kw_only=True):
 
 
 class StopForm(Form, frozen=True):
-    """How a program without Midstride's API is ended: with SIGINT, after a time SIGTERM, after another SIGKILL.
+    """The way to end a program without Midstride's API: with SIGINT, after a time SIGTERM, after another SIGKILL.
 
     A signal that has 0 s to take effect is not sent.
     """

@@ -225,7 +225,7 @@ class OfferForm(Form, frozen=True):
 
 
 class RespawnForm(Form, frozen=True):
-    """When a node that has crashed is started again; `{}`: with the defaults."""
+    """The policy for starting a crashed node again; `{}`: with the defaults."""
 
     what: ClassVar[str] = "a restart policy"
 
@@ -372,7 +372,7 @@ class ChangeRequirementForm(Form, frozen=True):
 
 
 class TimingForm(Form, frozen=True):
-    """How long steps take, where known, and what a hand-over takes its time for."""
+    """The durations of steps, where known, and what a hand-over takes its time for."""
 
     what: ClassVar[str] = "the timing of steps"
 

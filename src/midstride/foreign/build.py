@@ -93,7 +93,7 @@ def compile_library(command: Sequence[str], path: Path, environment: Mapping[str
 
 
 def origin(environment: Mapping[str, str] = os.environ) -> str:
-    """Where the library for this machine comes from, and why, in words."""
+    """The origin of the library for this machine, and the reason for it, in words."""
     path = library_path(environment)
     if path == prebuilt_path():
         return f"the prebuilt one of the package, {path}"
@@ -105,13 +105,13 @@ def _compiled() -> list[str]:
 
 
 def library_path(environment: Mapping[str, str]) -> Path:
-    """Where the library is, or will be once it is compiled."""
+    """The path of the library, once it is compiled."""
     prebuilt = prebuilt_path()
     return prebuilt if why_unfit(prebuilt) is None else _cache(environment) / prebuilt.name
 
 
 def prebuilt_path(machine: str = platform.machine()) -> Path:
-    """Where the package has the library for a ``machine``, made from the sources as they are; it may have none."""
+    """The path of the package's library for a ``machine``, made from the sources as they are; it may not exist."""
     return PREBUILT / library_name(machine)
 
 
@@ -127,7 +127,7 @@ def _why_not_prebuilt() -> str:
 
 
 def why_unfit(path: Path) -> str | None:
-    """Why a library cannot be loaded here, as where the C library is older than it needs; None where it can."""
+    """The reason why a library cannot be loaded here, such as a C library older than it needs; None where it can."""
     return _why_not_loaded(path) if path.exists() else _ABSENT
 
 

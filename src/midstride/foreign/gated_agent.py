@@ -1,7 +1,7 @@
 """The agent of a node that has none inside it: in the manager's process, it answers the commands of the control plane.
 
 So the executor, the hand-over and the reconciler need not know what kind of node they talk to. What it changes is in
-shared memory and in a file, so if the manager ends the node goes on, and the next manager's agent continues
+shared memory and in a file, so if the manager ends the node keeps running, and the next manager's agent continues
 (docs/protocols/foreign.md).
 """
 

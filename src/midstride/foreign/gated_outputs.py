@@ -119,7 +119,7 @@ class GatedOutputs(UngatedOutputs):
         return int(entry.matched)
 
     def _writers(self, baton: int) -> int:
-        """How many calls of the holder of ``baton`` are publishing."""
+        """The number of calls of the holder of ``baton`` that are publishing."""
         return self._gates.page.word(baton).writers
 
     async def record(self, command: commands.RecordCommand) -> replies.RecordingSwitched:
@@ -175,7 +175,7 @@ class GatedOutputs(UngatedOutputs):
         return replies.Idle(busy=self._hangs())
 
     def _hangs(self) -> str | None:
-        """How an output with a rate shows that the node hangs; None where none does."""
+        """The sign by which an output with a rate shows that the node hangs; None where none does."""
         for port in self._gates.component.outputs:
             if port not in self._node.record.links:
                 continue

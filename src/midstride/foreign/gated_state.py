@@ -25,7 +25,7 @@ PUBLISHING: Final = 0.3
 REQUESTS: Final = 0.2
 # How long the helper thread of a node may take to look, once it is asked to (s).
 LOOK: Final = 0.3
-# How much longer than all of that the nodes wait (s): if the manager ends meanwhile, the old one goes on after that.
+# How much longer than all of that the nodes wait (s): if the manager ends meanwhile, the old one continues after that.
 MARGIN: Final = 0.5
 # How long the new node may take to write its first message (s), or so many periods.
 FIRST: Final = 1.0
@@ -55,7 +55,7 @@ class MovingSides:
     quiet: bool
 
     async def move(self, transfer: commands.StateTransfer) -> replies.MovedState:
-        """Raises CommandRefused where the old node goes on, and why."""
+        """Raises CommandRefused, with the reason, where the old node keeps running."""
         page, gates, ports = self.gates.page, self.gates, list(self.ports)
         before = {port: int(gates.entry(port).passed) for port in ports}
         paused = time.monotonic()

@@ -253,7 +253,7 @@ class Gates:
                 self.page.ring(index)
 
     def share_requests(self, instance: str) -> PagePlace | None:
-        """Where the component ``instance``, with Midstride's API, joins to share the requests to this node.
+        """Have the component ``instance``, with Midstride's API, join to share the requests to this node.
 
         None where this node has no library that claims any. Raises BackendError.
         """
@@ -262,7 +262,7 @@ class Gates:
         return place(self.page, share_requests(self.page, instance, self.index))
 
     def to_be_joined(self, other: int) -> PagePlace | None:
-        """Where the node ``other`` (index), a component, is to join first; None where it has, or is none."""
+        """The place where the node ``other`` (index), a component, is to join first; None where it has, or is none."""
         return None if has_joined(self.page, other) else place(self.page, other)
 
     def settings(self) -> list[KnownSetting]:
@@ -278,7 +278,7 @@ class Gates:
         return {name for index in indices for name in self.page.servers(index)}
 
     def taken(self, service: str) -> int | None:
-        """How many requests to the service of that full name this node has taken; None if it has no such.
+        """The number of requests to the service of that full name that this node has taken; None if it has no such.
 
         Those of the manager to this node alone do not count.
         """
@@ -328,18 +328,18 @@ class Gates:
     # -- goals of its ROS actions ----------------------------------------------------------------------
 
     def goals(self, *states: GoalState) -> Counter[str]:
-        """How many goals of each ROS action this node has in one of these states; without any, that are not over."""
+        """The number of goals of each ROS action that it has in one of these states; without any, that are not over."""
         wanted = states or (GoalState.RESERVED, GoalState.ASKED, GoalState.ACCEPTED, GoalState.ENDED)
         return Counter(goal.action for goal in self.page.goals(self.index) if goal.state in wanted)
 
     @property
     def goals_beyond(self) -> int:
-        """How many goals it has in progress that the page has no room for."""
+        """The number of goals in progress for which the page has no room."""
         return int(self.page.layout.nodes[self.index].beyond)
 
     @property
     def goals_apart(self) -> int:
-        """How many goals it answers for that the page has no room for: in progress, or with a result to be fetched."""
+        """The number of its goals for which the page has no room: in progress, or with a result to be fetched."""
         return int(self.page.layout.nodes[self.index].apart)
 
     def unfetched(self) -> list[KnownGoal]:
@@ -368,7 +368,7 @@ class Gates:
     # -- what has passed -------------------------------------------------------------------------------
 
     def total(self, port: str) -> int:
-        """How many messages an output has published or held back, or an input has received or dropped."""
+        """The number of messages that an output has published or held back, or an input has received or dropped."""
         return total(self.entry(port))
 
     def age(self, port: str) -> float | None:
@@ -378,7 +378,7 @@ class Gates:
 
 
 def total(entry: PagePort) -> int:
-    """How many messages a port has let pass and held back, in all.
+    """The number of messages that a port has let pass and held back, in all.
 
     Of an output that takes part in intra-process communication: how many it has published, each once.
     """

@@ -20,7 +20,7 @@ ENDPOINTS_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_ENDPOINTS_TIMEOUT", "
 
 
 def endpoints_seconds(component: ComponentSpec) -> float:
-    """How long a program of ``component`` may take to create its endpoints (s)."""
+    """The time that a program of ``component`` may take to create its endpoints (s)."""
     return ENDPOINTS_TIMEOUT + (component.startup_seconds or 0.0)
 
 

@@ -35,7 +35,7 @@ class LifecycleManager:
 
 
 def reason_to_stay(node: str, manager: LifecycleManager, parameters: Mapping[str, Any]) -> str | None:
-    """Why ``node`` must not end while ``manager`` runs, in words; None where the manager would not notice.
+    """The reason why ``node`` must not end while ``manager`` runs, in words; None where the manager would not notice.
 
     ``parameters``: those of the manager, as far as they are known.
     """
@@ -65,7 +65,7 @@ class LifecycleManagers:
         self.starting: dict[str, str] = {}  # the instances whose nodes may still create what they call, and their roles
 
     def reasons_to_stay(self, node: str, managers: Iterable[LifecycleManager]) -> list[str]:
-        """Why ``node`` must not end, in words: one for each manager that would notice, as far as is known now."""
+        """The reasons why ``node`` must not end, in words: one for each manager known to notice."""
         known = ((each, self._known.get(each.name, (0.0, {}))[1]) for each in managers)
         found = (reason_to_stay(node, manager, parameters) for manager, parameters in known)
         return [words for words in found if words is not None]

@@ -160,7 +160,7 @@ class ForeignNode:
         return time.monotonic() - self._since[functionality]
 
     def due(self, seconds: float) -> float | None:
-        """How much of the last ``seconds`` counts on the node's ROS clock; None where that is not known."""
+        """The part of the last ``seconds`` that counts on the node's ROS clock; None where that is not known."""
         return self.others.due(seconds) if self.record.simulated_time else seconds
 
     def enter_modes(self, modes: Mapping[str, str], because: str) -> None:

@@ -1,4 +1,4 @@
-"""Which node of a process is the one of its program, where the program gives it its name itself."""
+"""The search for a program's own node in its process, where the program itself gives the node its name."""
 
 from __future__ import annotations
 

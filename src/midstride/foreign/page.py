@@ -103,7 +103,7 @@ def require_usable(path: Path) -> None:
 def _unusable(path: Path, layout: int | None) -> BackendError:
     has = f"has layout {layout}, and this version uses {OLDEST} to {VERSION}"
     return BackendError(
-        f"{path} {'is no page of Midstride' if layout is None else has}: nodes that run with it go on as they are, and "
+        f"{path} {'is no page of Midstride' if layout is None else has}: nodes that run with it keep running, and "
         "this version cannot answer for them; use that version, or `midstride down`, and start the system again"
     )
 
@@ -345,7 +345,7 @@ class Page:
             self._requests[node.requests - 1].lost = time.monotonic_ns()
 
     def pause_requests(self, index: int, longest: float) -> None:
-        """No node of the role of the node ``index`` takes a request until they go on, for ``longest`` (s) at most."""
+        """No node of the role of the node ``index`` takes a request until resumed, or after ``longest`` (s)."""
         if number := self.layout.nodes[index].requests:
             self._requests[number - 1].paused = time.monotonic_ns() + int(longest * 1e9)
 

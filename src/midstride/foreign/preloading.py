@@ -65,7 +65,7 @@ class StartedPrograms:
         return cls(tuple(dict.fromkeys(found)), environment, tuple(libraries), taken_away)
 
     def why_not(self, library: Path | None = None) -> str | None:
-        """Why a gate in the process would hold nothing back, and what to write instead; None where nothing says so.
+        """The reason why a gate in the process would hold nothing back, with what to write instead; None if unknown.
 
         ``library``: that of the gate, where it is there already.
         """
@@ -99,7 +99,7 @@ class StartedPrograms:
 
 @dataclass(frozen=True, slots=True)
 class Unseen:
-    """Why a process has an endpoint that the library does not see.
+    """The reason why a process has an endpoint that the library does not see.
 
     ``certain_after``: how long after its start that is certain (s); None: as long as it runs, it may change.
     """
@@ -109,7 +109,7 @@ class Unseen:
 
 
 def why_not_loaded(program: str, gate: ElfFile | None = None) -> str | None:
-    """Why the loader does not load the library of the ``gate`` into ``program``, and what to write instead."""
+    """The reason why the library of the ``gate`` is not loaded into ``program``, with what to write instead."""
     if (elf := read_elf(program)) is None:
         return None
     if not elf.loader and not _LOADER.match(os.path.basename(program)):
@@ -125,7 +125,7 @@ def why_not_loaded(program: str, gate: ElfFile | None = None) -> str | None:
 
 
 def why_unseen(pid: int) -> Unseen | None:
-    """Why the library does not see what the process ``pid``, or one below it, writes; None where nothing shows it."""
+    """The reason why the library misses the writes of ``pid`` or a process below it; None where none is known."""
     without: int | None = None
     with_both = False
     for each in _family(pid):
@@ -265,7 +265,7 @@ def _interpreter(path: str) -> list[str]:
 
 
 def _privileges(program: str) -> str | None:
-    """How a process gets privileges by starting ``program``, so that the loader ignores ``LD_PRELOAD``."""
+    """The way in which a process gets privileges by starting ``program``, so that the loader ignores ``LD_PRELOAD``."""
     try:
         status = os.stat(program)
         if os.statvfs(program).f_flag & os.ST_NOSUID:

@@ -85,7 +85,7 @@ class ReceiptNotes:
         return replies.Records(rows=rows, publisher_identity=bool(rows), now=now)
 
     def noted(self, name: str) -> int:
-        """How many messages of an input have been noted, in all. Raises CommandRefused where that cannot be read."""
+        """The number of messages of an input noted in all. Raises CommandRefused where that cannot be read."""
         path = self._path(self.gates.entry(name))
         try:
             with open(path, "rb") as file:

@@ -142,7 +142,7 @@ class ProgramEndpoints:
         return missing + [name for name in self.component.input_order if self.order.topics[name] not in received]
 
     def _faults(self, missing: Sequence[str], found: Sequence[GraphEndpoint] | None, unread: str) -> list[str]:
-        """Why the program is not what is declared; ``missing``: the ports that it still lacks."""
+        """The reasons why the program is not what is declared; ``missing``: the ports that it still lacks."""
         if unread:
             return [f"what {self.order.node} has is not known: {unread}"]
         if found is None and (missing or self.late):

@@ -55,7 +55,7 @@ class RelayOrder(WireValue, frozen=True, kw_only=True):
 
     @property
     def stop(self) -> StopTimes:
-        """How its program is ended."""
+        """The way in which its program is ended."""
         return self.declaration.declared().stop_times
 
     def write(self, path: Path) -> None:
@@ -86,7 +86,7 @@ def differing(program: Mapping[str, str], relay: Mapping[str, str]) -> dict[str,
 
 
 def private_topics(component: ComponentSpec, instance: str) -> dict[str, str]:
-    """Where the program publishes instead, by output."""
+    """The topics on which the program publishes instead, by output."""
     return {port: f"{PRIVATE_NAMES}relay/{instance.strip('/')}/{port}" for port in component.outputs}
 
 

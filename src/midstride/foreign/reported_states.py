@@ -65,7 +65,7 @@ class ReportedStates:
         return now - max(last) if last else None
 
     def responses(self, service: str, watch: ResponseWatch) -> MeasuredResponses | None:
-        """How the server of ``service`` answers a client with the bound of ``watch``; None where none reports that.
+        """The response times of the server of ``service`` against the bound of ``watch``; None where none reports that.
 
         Late is what is late by the server's own bound, which is no longer than the client's.
         """

@@ -34,14 +34,14 @@ class UngatedOutputs:
         return replies.Attached(matched=command.peers)
 
     async def await_readers(self, command: commands.AwaitReadersCommand) -> replies.Attached:
-        """How many there are is not known, and delays nothing."""
+        """Return at once: the number of readers is not known, and delays nothing."""
         return replies.Attached(matched=max(command.peers, command.everyone))
 
     async def await_idle(self, command: commands.AwaitIdleCommand) -> replies.Idle:
         return replies.Idle(busy=None)
 
     async def grid(self, command: commands.GridCommand) -> replies.Grid:
-        """How an output is triggered; by a rate that is stated, any moment is a slot."""
+        """The trigger of an output; by a rate that is stated, any moment is a slot."""
         rate = None if command.port is None else self._node.component.stated_rate(command.port, self._node.record.modes)
         now = time.time_ns()
         if not rate:

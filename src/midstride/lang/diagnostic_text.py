@@ -122,7 +122,7 @@ def _excerpt(span: Span) -> list[str]:
 
 
 def _width(text: str) -> int:
-    """How many columns ``text`` takes where it is shown."""
+    """The number of columns that ``text`` takes where it is shown."""
     return sum(_columns(character) for character in printable(text))
 
 

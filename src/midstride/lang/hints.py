@@ -51,7 +51,7 @@ class Hints:
         return problem.help or None
 
     def _attachment(self, problem: Problem) -> str | None:
-        """How to attach the port to the topics whose contracts match."""
+        """The statement that attaches the port to the topics whose contracts match."""
         _, role, _, name = problem.subject
         component = self._specification.components[self._specification.nodes[role].component]
         output = component.has_output(name)

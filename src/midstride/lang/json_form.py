@@ -37,7 +37,7 @@ def check_json(source: Source) -> tuple[Specification | None, tuple[Diagnostic, 
 
 
 def _syntax_place(source: Source, places: dict[tuple[str, ...], Span]) -> Span | None:
-    """Where the text stops being JSON, or where it is nested too deep, if it does or is."""
+    """The place where the text stops being JSON, or is nested too deep; None where neither is so."""
     try:
         strict_json(source.text)
     except json.JSONDecodeError as error:

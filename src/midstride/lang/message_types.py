@@ -162,7 +162,7 @@ def _rosbags_kind(kind: object) -> str:
 
 
 def share_folders(environment: Mapping[str, str]) -> list[Path]:
-    """Where message packages may be installed: the sourced ROS environment, then this interpreter's prefix."""
+    """The folders that may have message packages: the sourced ROS environment, then this interpreter's prefix."""
     prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     prefixes += environment.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
     folders = [Path(prefix) / "share" for prefix in [*prefixes, sys.prefix] if prefix]

@@ -364,7 +364,7 @@ def _hexadecimal_fraction(text: str) -> Fraction:
 
 
 def _fault_of_name(name: str) -> str | None:
-    """Why rcl takes no section of this name, or None."""
+    """The reason why rcl takes no section of this name, or None."""
     if name in {"/**", "/*"}:
         return None
     namespace, slash, node = name.rpartition("/")

@@ -103,7 +103,7 @@ def include_folders() -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Which files a specification may read: those below ``folders``, which are real paths, and those of packages.
+    """The files that a specification may read: those below ``folders``, which are real paths, and those of packages.
 
     Diagnostics quote what they are about, so somebody else's specification must not choose freely what is read.
     """

@@ -84,7 +84,7 @@ class TokenStream:
         return self.tokens.source.position(self.tokens.starts[index])[0]
 
     def _place(self) -> Span:
-        """Where something is missing: at the current token, or after the previous one if that ends its line."""
+        """The place where something is missing: the current token, or after the previous one if that ends its line."""
         if self.i and (self.kinds[self.i] == "end" or self._line(self.i) > self._line(self.i - 1)):
             end = self.span(self.i - 1).end
             return Span(self.tokens.source, end, end)

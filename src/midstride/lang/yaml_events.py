@@ -38,7 +38,7 @@ def events(source: Source) -> Iterator[Any]:
 
 
 def span_of(source: Source, event: Any) -> Span:
-    """Where an event is in the text; of one over several lines, where it begins."""
+    """The place of an event in the text; of one over several lines, the place where it begins."""
     start, end = event.start_mark, event.end_mark
     first = source.offset(start.line + 1, start.column + 1)
     last = source.offset(end.line + 1, end.column + 1) if end.line == start.line else first

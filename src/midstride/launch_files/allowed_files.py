@@ -1,4 +1,4 @@
-"""Which files an import may read: a launch file may be a stranger's, and must not choose freely what is read."""
+"""The files that an import may read: a launch file may be a stranger's, and must not choose freely what is read."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class ParametersGiven:
 
 @dataclass(slots=True)
 class IncludeTrace:
-    """Which launch file launch itself takes for the current one: the last that was begun, up to launch 3.7.
+    """The launch file that launch itself takes for the current one: the last that was begun, up to launch 3.7.
 
     ``differing``: the substitutions that have another value there than here.
     """

@@ -153,7 +153,7 @@ def _computed(op: ast.operator, left: Any, right: Any) -> Any:
 
 
 def _size(value: Any) -> int:
-    """How many characters and members there are in a value; of a number, how often it repeats one."""
+    """The number of characters and members in a value; for a number, the number of repetitions that it causes."""
     if isinstance(value, (list, tuple, frozenset)):
         return len(value) + sum(_size(each) for each in value if not isinstance(each, (int, float)))
     return len(value) if isinstance(value, str) else abs(value) if isinstance(value, int) else 1

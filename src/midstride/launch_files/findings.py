@@ -99,7 +99,7 @@ class ImportFindings:
         self._found.setdefault((kind, message), ImportFinding(kind, message, span, left_out=False))
 
     def counts(self, left_out: bool | None = None) -> dict[str, int]:
-        """How many there are of each kind, the most frequent first; of those that are left out or not, if stated."""
+        """The number of findings of each kind, the most frequent first; of those left out or not, if stated."""
         kinds = (each.kind for each in self if left_out is None or each.left_out is left_out)
         return dict(Counter(kinds).most_common())
 

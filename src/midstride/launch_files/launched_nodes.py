@@ -13,7 +13,7 @@ from midstride.model.component import ContainerProgram
 
 @dataclass(frozen=True, slots=True)
 class LaunchedRespawn:
-    """How launch restarts a process: after so many seconds, and how often; without end if that is negative."""
+    """The restarts of a process by launch: the delay (s) and their number; without end if that is negative."""
 
     delay: float
     retries: int

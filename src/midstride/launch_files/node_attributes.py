@@ -64,7 +64,7 @@ class NodeAttributes(ElementAttributes):
             return []
 
     def respawn(self, entity: Entity, context: Context) -> LaunchedRespawn | None:
-        """How launch would restart the process; None where it would not. Raises UnknownValue."""
+        """The restarts of the process by launch; None where there are none. Raises UnknownValue."""
         if "respawn" not in entity.attributes or not typed_truth(self.text(entity, "respawn", context)):
             return None
         delay = self._number(entity, "respawn_delay")
@@ -72,7 +72,7 @@ class NodeAttributes(ElementAttributes):
         return LaunchedRespawn(max(delay or 0.0, 0.0), -1 if retries is None else int(retries))
 
     def stop(self, entity: Entity, context: Context) -> Iterator[str]:
-        """How the process is ended: what of `stop` is stated, by the element or for the whole launch."""
+        """The way in which the process is ended: what of `stop` is stated, by the element or for the whole launch."""
         for name in ("sigterm", "sigkill"):
             attribute = f"{name}_timeout"
             stated = entity.attributes.get(attribute, context.variables.get(attribute))

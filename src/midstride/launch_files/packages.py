@@ -1,4 +1,4 @@
-"""Where ROS packages are: installed ones by the ament index, and source trees below folders that the user names."""
+"""The folders of ROS packages: installed ones by the ament index, and source trees in folders that the user names."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Packages:
         raise UnknownValue(f"package `{name}` is not here", "package")
 
     def prefix(self, name: str) -> str:
-        """Where a package is installed. Raises UnknownValue."""
+        """The folder in which a package is installed. Raises UnknownValue."""
         prefix = self._installed(name)
         if prefix is None:
             raise UnknownValue(f"package `{name}` is not installed here", "package")

@@ -205,7 +205,7 @@ class Attach(_AttachmentAction):
 
 
 def contract_reasons(configuration: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
-    """Why the contracts of a live port and a connector do not fit, clause by clause; empty iff they do."""
+    """The reasons why the contracts of a live port and a connector do not fit, clause by clause; empty iff they do."""
     shortfall, clauses = attachment_shortfall(configuration.component(port.instance), port, connector)
     if not clauses:
         return ()

@@ -37,11 +37,11 @@ GATES: Final[tuple[Gate, ...]] = get_args(Gate)
 
 @dataclass(frozen=True, slots=True)
 class StopTimes:
-    """How a process is ended: with SIGINT, after ``sigterm`` s with SIGTERM, after ``sigkill`` s more with SIGKILL.
+    """The times for ending a process: SIGINT, after ``sigterm`` s SIGTERM, after ``sigkill`` s more SIGKILL.
 
     A signal that has 0 s to take effect is not sent. The defaults are those of ROS's own `launch`. Before that, a node
     with the preloaded library answers the requests to its services that it has taken, for ``drain`` s from when its
-    replacement is to answer, and for as long again once it is to end. It goes on with the goals of its ROS actions
+    replacement is to answer, and for as long again once it is to end. It continues the goals of its ROS actions
     until these have ended, for ``patience`` s at most. One that has been ``asked`` to end before is first waited for so
     long (s), without a signal: the second one would end it at once. ``whole``: all that share its process are to end.
     """
@@ -55,7 +55,7 @@ class StopTimes:
 
     @property
     def longest(self) -> float:
-        """How long the process may take to end until it is killed (s)."""
+        """The longest time until the process has ended or is killed (s)."""
         return self.sigterm + self.sigkill
 
 
@@ -456,7 +456,7 @@ class ComponentSpec:
 
     @property
     def stop_times(self) -> StopTimes:
-        """How its program is ended: as it states, else as ROS's own `launch` does."""
+        """The times for ending its program: as it states, else as ROS's own `launch` does."""
         return self.stop or DEFAULT_STOP
 
     def topic_of(self, port: str) -> str:

@@ -124,7 +124,7 @@ class Instance:
 
     @property
     def resource_usage(self) -> Map[str, float]:
-        """How much it holds of each resource of its host, by the key of the resource."""
+        """The amount that it holds of each resource of its host, by the key of the resource."""
         usage = self.component.resource_usage
         return Map({resource_key(name, self.host): usage[name] for name in usage}) if self.host else usage
 

@@ -1,4 +1,4 @@
-"""Why a functionality cannot be in a better mode: the chain of reasons, down to the root cause.
+"""The reasons why a functionality cannot be in a better mode: a chain down to the root cause.
 
 Meant for configurations in their best modes; in any other, the answer says what is unsatisfied now.
 """
@@ -31,7 +31,7 @@ class Diagnosis:
         self._ends: dict[_Goal, str] = {}
 
     def chain(self, ref: FunctionalityRef, mode: int = 0, most: int = 4) -> tuple[str, ...]:
-        """Why ``ref`` cannot be in its mode number ``mode``, then why its suppliers cannot help; () if it can.
+        """The reasons why ``ref`` cannot be in its mode number ``mode``, then those of its suppliers; () if it can.
 
         Each mode of a functionality occurs once, so a cycle ends. After ``most`` reasons only the root cause on the
         first path.
@@ -106,5 +106,5 @@ class Diagnosis:
 
 
 def reasons_against(configuration: Configuration, ref: FunctionalityRef, mode: int = 0) -> tuple[str, ...]:
-    """Why ``ref`` cannot be in its mode number ``mode``, then why its suppliers cannot help; () if it can."""
+    """The reasons why ``ref`` cannot be in its mode number ``mode``, then those of its suppliers; () if it can."""
     return Diagnosis(configuration).chain(ref, mode, sys.maxsize)

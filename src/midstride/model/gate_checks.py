@@ -154,7 +154,7 @@ def _of_a_program(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         )
         for key, stated, usual, what in (
             ("drain", component.stop.drain, DEFAULT_STOP.drain, "answers requests that it has taken"),
-            ("patience", component.stop.patience, DEFAULT_STOP.patience, "goes on with the goals of its ROS actions"),
+            ("patience", component.stop.patience, DEFAULT_STOP.patience, "continues the goals of its ROS actions"),
         ):
             if stated != usual and not (key == "patience" and with_goals):
                 message = f"{name} states for how long it {what}, and only the preloaded library keeps to that"

@@ -15,7 +15,7 @@ SECOND_DELAY: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class RespawnPolicy:
-    """When a node that has crashed is started again, in the words of ROS launch files.
+    """The policy for starting a crashed node again, in the words of ROS launch files.
 
     The first restart comes after ``delay`` (s). Each further one waits twice as long as the one before, at least
     1 s and at most ``max_delay`` (None: 30 s, or ``delay`` where that is longer). After ``max_retries`` restarts (None:
@@ -34,7 +34,7 @@ class RespawnPolicy:
         return max(LONGEST_DELAY, self.delay) if self.max_delay is None else self.max_delay
 
     def delay_before(self, restart: int) -> float:
-        """How long to wait before a restart (s), the first one in the window being number 1."""
+        """The delay before a restart (s), the first one in the window being number 1."""
         delay = min(self.delay, self.longest_delay)
         for _ in range(1, restart):
             if delay >= self.longest_delay:

@@ -186,7 +186,7 @@ class Evaluator:
 
 
 def publishers_count(configuration: Configuration, connector: str) -> int:
-    """How many publishers count against the connector's cap: attached outputs, and the environment's."""
+    """The number of publishers that count against the connector's cap: attached outputs, and the environment's."""
     declared = configuration.context.connectors[connector]
     return len(configuration.publishers_on(connector)) + len(configuration.context.publishers_out_of_scope(declared))
 
@@ -244,8 +244,10 @@ def normal_guarantee(component: ComponentSpec, output: str) -> Contract:
 
 
 def attachment_shortfall(component: ComponentSpec, port: PortRef, connector: Connector) -> tuple[str, list[str]]:
-    """Which side falls short where ``port`` is attached to ``connector``, in words, and in which clauses (none: they
-    fit). The normal mode of an output must satisfy the connector, the connector what an input assumes."""
+    """The side that falls short if ``port`` is attached to ``connector``, in words, and the clauses (none: it fits).
+
+    The normal mode of an output must satisfy the connector, the connector what an input assumes.
+    """
     if port.port in component.inputs:
         clauses = explain(connector.guarantee, component.inputs[port.port])
         return f"{connector.name} does not satisfy what {port} assumes", clauses

@@ -1,4 +1,4 @@
-"""How the ROS clock has run against the steady clock, where ``/clock`` drives it.
+"""The history of the ROS clock against the steady clock, where ``/clock`` drives it.
 
 A simulation may run slower or faster than real time, stand still, or start again. What is measured is measured on its
 clock; a time-out, which must end even if that clock does not move, is on the steady clock and is stretched by the
@@ -59,7 +59,7 @@ class ClockHistory:
         return kept if last is None or kept[-1:] == [last] else [*kept, last]
 
     def still_for(self, steady: int) -> float:
-        """How long it has not moved (s); 0 before it has moved at all."""
+        """The time for which it has not moved (s); 0 before it has moved at all."""
         last = self._last
         return 0.0 if last is None else (steady - last[0]) / 1e9
 

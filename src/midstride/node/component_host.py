@@ -49,7 +49,7 @@ class Publisher(Protocol):
     def publish(self, message: Any) -> None: ...
 
     def matched(self) -> int:
-        """How many *compatible* subscriptions are matched; -1 before the platform knows it. On the control thread."""
+        """The number of *compatible* subscriptions matched; -1 before the platform knows it. On the control thread."""
 
     def reader_ids(self) -> frozenset[str]:
         """The identities of the subscriptions that its process has discovered on the topic; empty where unknown.
@@ -70,7 +70,7 @@ class Subscription(Protocol):
     """An endpoint of an input on one topic."""
 
     def matched(self) -> int:
-        """How many compatible publishers are matched; -1 before the platform knows it. On the control thread."""
+        """The number of compatible publishers matched; -1 before the platform knows it. On the control thread."""
 
     def publisher_ids(self) -> frozenset[str] | None:
         """The identities of the publishers that its process has discovered on the topic; None where unknown.
@@ -205,7 +205,7 @@ class Host(Protocol):
 
     @property
     def clock_history(self) -> ClockHistory:
-        """How ``/clock`` has driven the ROS clock; empty where it does not."""
+        """The history of the ROS clock as ``/clock`` has driven it; empty where it does not."""
 
     def steady(self) -> int:
         """The steady clock, ns: for time-outs, heartbeats and times of receipt. Cheap: on the data path."""

@@ -65,7 +65,7 @@ def loads_now() -> None:
 
 
 def process_started() -> int:
-    """When this process started (unix ns), to the tick of the kernel, 10 ms; now where that is not known."""
+    """The start of this process (unix ns), to the tick of the kernel, 10 ms; now where that is not known."""
     if _loading is not None:
         return _loading
     try:

@@ -1,4 +1,4 @@
-"""Which instance this process is, and which platform it runs on: read once, in ``Component.start``.
+"""The instance that this process is, and the platform it runs on: read once, in ``Component.start``.
 
 The manager passes it to a component's process in environment variables (:mod:`midstride.wire.environment`). In the
 simulator many components share one process, so there it is in a context variable.

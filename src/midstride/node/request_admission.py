@@ -54,8 +54,10 @@ _CAME: Final = " @"
 
 @dataclass(frozen=True)
 class PassableRequest:
-    """How a request of ``service`` is handled by another instance: ``data`` is its form on the way, and ``respond``,
-    on any thread, sends the response that comes back."""
+    """A request of ``service`` that another instance handles.
+
+    ``data`` is its form on the way. ``respond``, on any thread, sends the response that comes back.
+    """
 
     service: str
     data: Callable[[], bytes]

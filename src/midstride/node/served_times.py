@@ -1,4 +1,4 @@
-"""How long the servers of a component take to answer, by when requests came and were answered.
+"""The times that the servers of a component take to answer, by when requests came and were answered.
 
 docs/protocols/foreign.md says what is made of it.
 
@@ -51,7 +51,7 @@ class ServedTimes:
 
     @property
     def took(self) -> Sequence[int]:
-        """How long the last responses took (us)."""
+        """The times that the last responses took (us)."""
         return self._took
 
     @property

@@ -115,7 +115,7 @@ class RequestsSlot(PageSlot):
 
     @property
     def left_before(self) -> int:
-        """How many requests the other one has taken, and not answered, that answered before."""
+        """The number of requests that the other one has taken, and not answered, that answered before."""
         return self._call("left_before")
 
     @property

@@ -104,11 +104,11 @@ class Change:
         return self.component_of(port.instance).has_output(port.port)
 
     def seconds(self, kind: str, instance: Instance | None = None) -> float:
-        """How long a step is expected to take (s)."""
+        """The time that a step is expected to take (s)."""
         return self.estimate(kind, instance).seconds
 
     def estimate(self, kind: str, instance: Instance | None = None) -> Estimate:
-        """How long a step takes: declared in the target, else measured earlier, else the stated default.
+        """The duration of a step: declared in the target, else measured earlier, else the stated default.
 
         An instance with a new process of its container also waits until that can load it, which is in what was measured
         of its component. To a hand-over, :meth:`estimate_of` adds the probation of its outputs; the time for which they
@@ -130,7 +130,7 @@ class Change:
         return found.plus(handover_seconds(timing, "watch_after")) if kind in ("handover", "set") else found
 
     def _container_seconds(self, instance: Instance) -> float:
-        """How long the container of ``instance`` states to need before it loads a node (s); 0 if its process runs."""
+        """The time that the container of ``instance`` states to need before it loads a node (s); 0 if it runs."""
         if instance.container is None or instance.container.program.startup_seconds is None:
             return 0.0
         running = self.start.instances.values() if instance.process else ()
@@ -139,13 +139,13 @@ class Change:
         return instance.container.program.startup_seconds
 
     def estimate_of(self, action: Action) -> Estimate:
-        """How long ``action`` takes."""
+        """The duration of ``action``."""
         created = isinstance(action, Create | Remove)
         found = self.estimate(action.kind, self.instance(*action.instances()) if created else None)
         return found.plus(self.probation(action)) if isinstance(action, Handover) else found
 
     def probation(self, action: Handover) -> float:
-        """How long the outputs of a hand-over are on probation for their rates, all at the same time (s)."""
+        """The time for which the outputs of a hand-over are on probation for their rates, all at the same time (s)."""
         return max(probation_seconds(self.target.timing, self._rate(swap.new)) for swap in action.swaps)
 
     def _rate(self, port: PortRef) -> float | None:

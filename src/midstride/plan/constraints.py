@@ -75,7 +75,7 @@ def breaches(steps: Sequence[Step], levels: Levels, constraints: Iterable[Constr
 
 @dataclass(frozen=True, slots=True)
 class ConstraintMonitor:
-    """Which ``keep`` constraints the steps of a plan so far have broken, and by which step. An immutable value.
+    """The ``keep`` constraints that the steps of a plan so far have broken, and by which step. An immutable value.
 
     A broken constraint stays broken, so a planner can abandon a plan as soon as it :meth:`is_doomed`.
     """
@@ -126,7 +126,7 @@ def _exceeds(limit: Limit, meter: DisruptionMeter) -> bool:
 
 
 def _out_of_order(order: Order, steps: Sequence[Step]) -> str | None:
-    """How the steps break an order; a hand-over from one of its roles to the other belongs to both at once."""
+    """The steps that break an order, in words; a hand-over from one of its roles to the other is of both at once."""
     begun: str | None = None
     for number, step in enumerate(steps, start=1):
         if not step.is_structural:

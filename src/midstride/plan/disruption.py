@@ -90,7 +90,7 @@ class Levels:
         return self._level(configuration, ref, counted.outputs, counted.worst)
 
     def below(self, configuration: Configuration, role: str) -> dict[FunctionalityRef, int]:
-        """How many levels below the baseline the functionalities of ``role`` are, where they are below."""
+        """The number of levels below the baseline that the functionalities of ``role`` are, where they are below."""
         found = {}
         for counted in self.counted(role):
             loss = self._level(configuration, counted.ref, counted.outputs, counted.worst) - counted.baseline
@@ -109,7 +109,7 @@ class Levels:
 
 @dataclass(frozen=True, slots=True)
 class LevelChange:
-    """How many levels below its baseline a role's functionality is before a step, and after it."""
+    """The number of levels below its baseline that a role's functionality is before a step, and after it."""
 
     ref: FunctionalityRef
     before: int
@@ -184,7 +184,7 @@ class DisruptionMeter:
         return changes
 
     def seconds(self, ref: FunctionalityRef) -> float:
-        """How long a functionality has been below its baseline (s), including the steps that took it there and back."""
+        """The time that a functionality has been below its baseline (s), with the steps that took it there and back."""
         open_since = self.since.get(ref, self.clock)
         return round(self.spent.get(ref, 0.0) + self.clock - open_since, DIGITS)
 

@@ -1,4 +1,4 @@
-"""How long a kind of step takes: declared, or measured in earlier runs with its spread."""
+"""The duration of a kind of step: declared, or measured in earlier runs with its spread."""
 
 from __future__ import annotations
 

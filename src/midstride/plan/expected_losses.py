@@ -74,7 +74,7 @@ def _exchanges(plan: Plan) -> Iterator[Assessment]:
 
 
 def unmeasured_pair(instances: Mapping[str, Instance], old: str, new: str) -> str | None:
-    """Why nothing measures what two instances of a role do; None where something does."""
+    """The reason why nothing measures what two instances of a role do; None where something does."""
     return next(filter(None, (unmeasured.why_unmeasured(instances[name].component) for name in (old, new))), None)
 
 

@@ -1,4 +1,4 @@
-"""Why each functionality degrades during a plan, from which step to which, for how long; and what changes for good."""
+"""The reason why each functionality degrades during a plan, from which step to which; and what changes for good."""
 
 from __future__ import annotations
 

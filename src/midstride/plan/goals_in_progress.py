@@ -1,4 +1,4 @@
-"""How long the removal of a node may take that goes on with the goals of its ROS actions.
+"""The time that the removal of a node may take that continues the goals of its ROS actions.
 
 Its successor runs beside it meanwhile (docs/protocols/services.md).
 """
@@ -35,6 +35,6 @@ def with_time_for_goals(plan: Plan, serving: Collection[str] = ()) -> Plan:
 
 
 def _longest(component: ComponentSpec) -> float:
-    """How long it may take to end (s): its goals and their results, what it has to answer, and its process."""
+    """The longest time until it has ended (s): its goals and their results, its pending answers, and its process."""
     stop = component.stop_times
     return stop.patience + 3 * CANCELLING + stop.drain + stop.longest

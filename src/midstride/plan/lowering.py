@@ -18,7 +18,7 @@ from midstride.plan.plan import Plan
 
 @dataclass(frozen=True, slots=True, order=True)
 class Lowering:
-    """How much is lowered: what stays so comes first, then for how long it is so on the way.
+    """The amount that is lowered: what stays so comes first, then for how long it is so on the way.
 
     ``lasting``: levels below the start, by weight, when all is done. ``seconds``: the same on the way, times seconds.
     """

@@ -69,7 +69,7 @@ def overlap(plan: Plan) -> Overlap:
 
 
 def duration(plan: Plan) -> Estimate:
-    """How long the plan takes as it is carried out (s), between the critical path and the sum of its steps.
+    """The duration of the plan as it is carried out (s), between the critical path and the sum of its steps.
 
     The shortest and the longest are those with every step at its shortest and at its longest. It is assumed that
     processes do not slow each other down while they start.
@@ -82,7 +82,7 @@ def duration(plan: Plan) -> Estimate:
 
 
 def _last_end(plan: Plan, found: Overlap, seconds: Sequence[float]) -> float:
-    """When the last round ends, if the steps take so long; the process of a creation may have begun before its step."""
+    """The end of the last round, if the steps take so long; the process of a creation may have begun before it."""
     now, looked = 0.0, 0
     started: dict[int, float] = {}
     for some in found.rounds:
@@ -98,7 +98,7 @@ def _last_end(plan: Plan, found: Overlap, seconds: Sequence[float]) -> float:
 
 
 class _Neighbours:
-    """Which steps of a plan may be in one round, where none waits for another."""
+    """The steps of a plan that may be in one round, where none waits for another."""
 
     def __init__(self, plan: Plan) -> None:
         self._plan, self._change = plan, plan.change

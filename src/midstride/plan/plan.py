@@ -107,7 +107,7 @@ class Plan:
 
     @cached_property
     def degradations(self) -> tuple[Degradation, ...]:
-        """Why each functionality degrades, from which step to which, and for how long."""
+        """The reason why each functionality degrades, from which step to which, and for how long."""
         return explain.degradations(self.change, self.steps)
 
     @cached_property
@@ -117,7 +117,7 @@ class Plan:
 
     @cached_property
     def schedule(self) -> Schedule:
-        """Which steps commute, and what falls or rises by each."""
+        """The steps that commute, and what falls or rises by each."""
         return schedule(self.steps, Levels(self.change))
 
     @property

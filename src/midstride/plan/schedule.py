@@ -1,4 +1,4 @@
-"""Which steps of a plan commute, and how long it takes when those that do overlap.
+"""The steps of a plan that commute, and the time that it takes when those that do overlap.
 
 Each step leaves *marks*: what it does to an instance, an attachment, a mode, a functionality's support, a cap or a
 capacity. Two steps commute unless two of their marks clash. The table relies on monotonicity (docs/semantics.md

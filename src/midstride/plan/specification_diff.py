@@ -1,4 +1,4 @@
-"""How two specifications differ: what `midstride diff` shows.
+"""The differences between two specifications: what `midstride diff` shows.
 
 The change of each node is classified as the planners see it: added, removed, replaced, rewired, or with parameters set
 in place.
@@ -136,7 +136,7 @@ def _offer(before: EnvironmentGuarantee, after: EnvironmentGuarantee) -> Iterato
 def _components(old: Mapping[str, ComponentSpec], new: Mapping[str, ComponentSpec]) -> Iterator[Difference]:
     renamed = dict(renamed_components(old, new))
     for before, after in renamed.items():
-        yield Difference(f"component {before}", "renamed", (f"to {after}; its nodes go on",))
+        yield Difference(f"component {before}", "renamed", (f"to {after}; its nodes keep running",))
     kept = {name: component for name, component in old.items() if name not in renamed}
     others = {name: component for name, component in new.items() if name not in renamed.values()}
     yield from _compared("component", kept, others, lambda _: (), component_differences)
@@ -191,7 +191,7 @@ def _program(container: ContainerProgram) -> str:
 
 
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
-    """How two declarations of a component differ, a line each."""
+    """The differences between two declarations of a component, a line each."""
     for what, old, new in (
         ("run", before.run, after.run),
         ("takes", before.startup_seconds, after.startup_seconds),

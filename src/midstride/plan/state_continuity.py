@@ -1,4 +1,4 @@
-"""How the state of replaced components moves in a plan, where no topic is handed over (docs/protocols/state.md)."""
+"""The state of replaced components as it moves in a plan, where no topic is handed over (docs/protocols/state.md)."""
 
 from __future__ import annotations
 

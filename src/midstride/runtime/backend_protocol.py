@@ -35,7 +35,7 @@ NAMES_ALL: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How to start one component: its command (split as a shell would) and the name of its instance.
+    """The command that starts one component (split as a shell would) and the name of its instance.
 
     ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
     ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
@@ -125,12 +125,12 @@ class Exited:
 
     @property
     def words(self) -> str:
-        """Why the instance is missing."""
+        """The reason why the instance is missing."""
         return self.because or f"{self.instance} exited unexpectedly"
 
     @property
     def details(self) -> str:
-        """Why the instance is missing, with the exit status and the exception that its log ends with."""
+        """The reason why the instance is missing, with the exit status and the exception that its log ends with."""
         status = "" if self.status is None else f" (status {self.status})"
         exception = exception_in(self.log_tail)
         return self.because or f"{self.words}{status}{'' if exception is None else f': {exception}'}"
@@ -229,6 +229,20 @@ class TopicListener(Protocol):
         """Listen no more."""
 
 
+class HostLinkState(NamedTuple):
+    """The link to another host. ``destination``: as `ssh` takes it.
+
+    ``problem``: why it cannot be reached now, and what to do; None while it is connected. ``since``: from when on that
+    has been so (unix s). ``version``: that of Midstride there, once it is known.
+    """
+
+    host: str
+    destination: str
+    since: float
+    problem: str | None
+    version: str = ""
+
+
 class Backend(Protocol):
     """A platform. One without spare processes, or that need not know what a component reports, inherits its methods.
 
@@ -261,6 +275,10 @@ class Backend(Protocol):
         """
         return {}
 
+    def host_links(self) -> Sequence[HostLinkState]:
+        """The link to each host that :meth:`reach_hosts` was called with, by name."""
+        return ()
+
     def describe(self, launch: Launch) -> DescribedProcess:
         """Describe the process that :meth:`start` would start, also before ``open``; nothing is started or written.
 
@@ -278,7 +296,7 @@ class Backend(Protocol):
 
         ``stop``: how long each request to exit may take before that. What the graph still shows of it is ignored from
         then on, even if its process had exited before. Raises BackendError where its process has other nodes, and it
-        alone could not be ended: it goes on; EndUnknown: it is not known whether it does.
+        alone could not be ended, so that it keeps running; EndUnknown where that is not known.
         """
 
     def keep_spares(self, number: int, token: str) -> None:
@@ -290,7 +308,7 @@ class Backend(Protocol):
         return
 
     def spares(self) -> int:
-        """How many of them are ready."""
+        """The number of processes that are ready."""
         return 0
 
     def takes_spare(self, arguments: Sequence[str], directory: Path) -> bool:
@@ -316,7 +334,7 @@ class Backend(Protocol):
         return
 
     def unwritten(self) -> str | None:
-        """Why what the next manager needs to know of the components could not be written to disk."""
+        """The reason why what the next manager needs to know of the components could not be written to disk."""
         return None
 
     def hanging(self) -> list[str]:
@@ -376,5 +394,5 @@ class Backend(Protocol):
         return None
 
     async def lingering_readers(self, topic: str) -> int:
-        """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""
+        """The number of subscriptions on ``topic`` that the middleware still counts for processes known to be dead."""
         return 0

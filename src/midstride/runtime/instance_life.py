@@ -306,12 +306,12 @@ class LifeTable:
 
     @property
     def exits(self) -> dict[str, Exited]:
-        """How instances have exited unexpectedly that the model may still have, the earliest first."""
+        """The exits of instances that the model may still have and that were unexpected, the earliest first."""
         return self._exits(ProcessState.EXITED)
 
     @property
     def missing(self) -> dict[str, Exited]:
-        """How instances have exited unexpectedly whose roles have none since, the earliest first."""
+        """The unexpected exits of instances whose roles have none since, the earliest first."""
         return self._exits(ProcessState.MISSING)
 
     @property

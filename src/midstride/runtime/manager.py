@@ -110,7 +110,9 @@ class Manager:
         # What is known of components.
         self._programs = Programs(client, directory, backend.executable)
         self._watch = DiscoveryWatch(backend, client, events, system, commands)
-        self._monitor = monitor = SilenceMonitor(client.life, clock, events, self._watch.stopped, backend.is_stopped)
+        self._monitor = monitor = SilenceMonitor(
+            client.life, clock, events, self._watch.stopped, backend.is_stopped, backend.host_links
+        )
         # What changes the system, each part by the one before it.
         self._reconciler = reconciler = Reconciler(system, client, monitor, launcher, events, store, commands)
         self._session = session = ChangeSession(reconciler, backend, journal, verifier or Verifier())
@@ -212,11 +214,11 @@ class Manager:
             return UpReport(outcome, sorted(self.configuration.instances), remaining, missing, half_done)
 
     def _still_missing(self, absent: Collection[str]) -> dict[str, str]:
-        """Why each role has no instance, but those ``absent``: one may have exited since it was started."""
+        """The reason why each role has no instance, but those ``absent``: one may have exited since it was started."""
         return {role: exits[-1].details for role, exits in self.system.crashes.items() if role not in absent}
 
     def _with_policy(self, role: str, because: str) -> str:
-        """Why a role has no instance, and that it will be started again, if so."""
+        """The reason why a role has no instance, and that it will be started again, if so."""
         policy = self.specification.nodes[role].respawn
         return because if policy is None else f"{because}\nIt is started again {policy}."
 
@@ -313,7 +315,7 @@ class Manager:
         return [_parameters_report(state) for state in found if isinstance(state, ComponentState)]
 
     async def why(self, functionality: str) -> Why:
-        """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
+        """The reason why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
         return Explainer(self.watched).why(functionality)
 
     async def plan(self, request: PlanRequest) -> Plan:

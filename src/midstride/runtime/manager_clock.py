@@ -21,11 +21,11 @@ class Clock(Protocol):
         """ROS time in nanoseconds."""
 
     def processors(self) -> int:
-        """How many processors the components run on."""
+        """The number of processors on which the components run."""
         ...
 
     def idle(self) -> float:
-        """How long the processors have been idle, in total (s)."""
+        """The time for which the processors have been idle, in total (s)."""
         ...
 
     async def sleep(self, seconds: float) -> None:

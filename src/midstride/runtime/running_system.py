@@ -70,7 +70,7 @@ class RunningSystem:
 
     @property
     def crashes(self) -> dict[str, list[Exited]]:
-        """How the missing instances of each role of the specification have exited, the earliest first."""
+        """The exits of the missing instances of each role of the specification, the earliest first."""
         found: dict[str, list[Exited]] = {}
         for name, exited in self.life.missing.items():
             if (role := self.role_of_missing(name)) is not None:
@@ -78,7 +78,7 @@ class RunningSystem:
         return found
 
     def why_missing(self, role: str) -> str | None:
-        """Why a role has no instance, if one has exited unexpectedly, or could not be started."""
+        """The reason why a role has no instance, if one has exited unexpectedly, or could not be started."""
         crashes = self.crashes.get(role)
         return crashes[-1].details if crashes else None
 

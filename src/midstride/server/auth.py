@@ -1,4 +1,4 @@
-"""Who may use the API over TCP: whoever has the token. The Unix socket needs none: the file system protects it.
+"""The access to the API over TCP: by the token. The Unix socket needs none: the file system protects it.
 
 Programs send it as a bearer token with each request. A browser is given it once, in the URL that opens the dashboard,
 and has it as a cookie from then on. What browsers may be made to send by other pages is refused: requests to a host

@@ -54,7 +54,7 @@ from midstride.server.view.live import LiveView
 from midstride.server.view.routes import viewing
 from midstride.wire.frames import PROTOCOL
 
-# No table of the journal has more rows.
+# Row numbers are 32-bit.
 _LARGEST: Final = 2**31 - 1
 _Number = Annotated[int | None, Query(ge=1, le=_LARGEST, description="as in /history")]
 _Id = Annotated[str | None, Query(max_length=100, description="as of a change")]
@@ -190,7 +190,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
 
     @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:
-        """Why a functionality is in the mode it is in."""
+        """The reason why a functionality is in the mode it is in."""
         return answer(await manager.why(functionality))
 
     @router.get("/log", responses=answers(list[Event]))

@@ -31,7 +31,7 @@ _ROLLING_BACK: Final = (
     "the manager was terminated and is still rolling back; `midstride up` with the system's file finds what is running"
 )
 _STILL_ENDING: Final = "the manager was terminated and still ends the components; what it cannot end keeps running"
-_NO_MORE: Final = "the manager was told to end and begins nothing more; nothing was changed"
+_NO_MORE: Final = "the manager is shutting down; nothing was changed"
 
 
 class Lifecycle:

@@ -53,8 +53,8 @@ class SubmittedChange(Overriding, frozen=True):
 
     `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every
     step of the plan safe, and verify the live configuration after each of them. `brief`: the next command does not wait
-    until this change has been measured over 20 periods. `wait`: after how many seconds a component that hangs, and is
-    to go, is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any
+    until this change has been measured over 20 periods. `wait`: after how many seconds a hung component that is being
+    replaced is fenced: replaced although its code does not return. `file`: the one that `to` was read from. `id`: any
     text; the events `waiting` and `command` of this change contain it, and those that follow until the next `command`
     belong to it. `by`: who asks, and for what, for the history. `despite_lock`: also while the system is locked;
     `despite_requirements`: although what its changes require does not hold.

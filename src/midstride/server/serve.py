@@ -36,7 +36,7 @@ _TCP_LIMIT: Final = (64, 1 / 8)
 
 @dataclass(frozen=True, slots=True)
 class Tcp:
-    """Where to listen on TCP: loopback, unless another address of this machine is given."""
+    """The address to listen on over TCP: loopback, unless another address of this machine is given."""
 
     port: int
     host: str = LOOPBACK

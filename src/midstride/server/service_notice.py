@@ -39,7 +39,7 @@ _VARIABLES: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID")
 
 @dataclass(frozen=True, slots=True)
 class ServiceNotice:
-    """Where notices go, and how often systemd expects one (``watchdog``, s; None: it does not watch this process)."""
+    """The address for notices, and systemd's interval for them (``watchdog``, s; None: it does not watch)."""
 
     address: str
     watchdog: float | None = None
@@ -128,7 +128,7 @@ def status_words(lifecycle: Lifecycle) -> str:
     if lifecycle.ends:
         return "stopping"
     if lifecycle.ended.is_set():
-        return "the manager ends, and its components go on"
+        return "the manager ends, and its components keep running"
     try:
         return status(lifecycle.manager.watched, ()).condition.headline
     except Exception as error:  # a fault of ours must not look as if the manager hung

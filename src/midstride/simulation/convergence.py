@@ -18,7 +18,7 @@ from midstride.simulation.stand_in import StandIn
 
 
 def differences(manager: Manager, platform: Platform, saved: SavedState | None) -> list[str]:
-    """Where what runs, the manager's model, its saved state and the specification differ."""
+    """The differences between what runs, the manager's model, its saved state and the specification."""
     found = []
     configuration, expected = manager.configuration, initial(manager.specification)
     processes = {process.instance: process for process in platform.stand_ins()}

@@ -1,4 +1,4 @@
-"""Which assumptions are broken in what really runs: docs/semantics.md section 3 again, without the model's own code.
+"""The assumptions broken in what really runs: docs/semantics.md section 3 again, without the model's own code.
 
 It works on what the processes show of themselves. Only whether one contract satisfies another is taken from the model.
 """

@@ -50,7 +50,7 @@ class RequestInvariants(ServiceObserver):
             self.platform.time.loop.call_later(limit, self._check_answered, request)
 
     def _limit(self, request: SimulatedRequest) -> float:
-        """How long its client may wait (s); infinite where it states no bound, or waits for the result of a goal."""
+        """The time that its client may wait (s); infinite without a bound, or for the result of a goal."""
         process = request.client.owner
         assert isinstance(process, StandIn)
         bound = process.bound_of(request.client.name) if request.kind in ("request", "goal") else None

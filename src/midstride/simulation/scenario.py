@@ -306,7 +306,7 @@ def _built_in_change(random: random.Random, specification: Specification) -> Pla
 
 
 def _other(specification: Specification, role: str, one: str, other: str) -> str:
-    """Which of the two components takes the place of ``role``."""
+    """The one of the two components that takes the place of ``role``."""
     return other if specification.nodes[role].component == one else one
 
 

@@ -292,7 +292,7 @@ class Simulation:
         return False
 
     def _noticed_by(self) -> float:
-        """When every client has noticed which of its requests were lost while faults struck (steady s)."""
+        """The time by which every client has noticed which of its requests were lost while faults struck (steady s)."""
         return self._calm_since + max(map(_longest_wait, self._platform.stand_ins()), default=-math.inf) + NOTICED
 
     def _again(self, manager: Manager) -> PlanRequest:
@@ -470,7 +470,7 @@ class Simulation:
 
 
 def _longest_wait(process: StandIn) -> float:
-    """How long a client of ``process`` waits for a response at most (s); minus infinity where none states a bound."""
+    """The longest time that a client of ``process`` waits for a response (s); minus infinity without a bound."""
     bounds = (port.within for port in process.clients if port.within is not None)
     return max(bounds, default=-math.inf) + OVERDUE
 

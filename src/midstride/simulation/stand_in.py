@@ -36,7 +36,7 @@ from midstride.wire.state import ComponentState
 # results of successive goals: at once, before the goal has ended, and later, perhaps of the instance that comes next.
 CANCELLED: Final = 4
 FETCHED: Final = (0, 12, 30)
-# How long a goal takes (s): longer than a replaced instance goes on for other reasons.
+# How long a goal takes (s): longer than a replaced instance keeps running for other reasons.
 GOAL: Final = 2.2
 _NOTHING: Final = contextlib.nullcontext()
 # What the types of services and ROS actions consist of.

@@ -83,7 +83,7 @@ class System:
         return [] if database is None else [name for (name,) in database.read("SELECT name FROM instances")]
 
     def lease(self) -> str | None:
-        """Which manager has the lease."""
+        """The manager that has the lease."""
         database = self.disk.read_only(WORKSPACE.journal)
         rows = [] if database is None else database.read("SELECT value FROM about WHERE key = 'holder'")
         return rows[0][0] if rows else None

@@ -114,7 +114,7 @@ def written(topic: str, port: str, passed: int, window: float, rate: float) -> A
 
 
 def _unseen(window: float, rate: float) -> float:
-    """How many messages may be missing in ``window`` (s) without a word."""
+    """The number of messages that may be missing in ``window`` (s) without a word."""
     return max(MISSING_LEAST, MISSING_PART * rate * window)
 
 
@@ -238,7 +238,7 @@ def answered_by_both(instance: str, served: Sequence[str], *, planned: bool) -> 
 def goals_go_on(instance: str, actions: Sequence[str], patience: float) -> Assessment:
     """Goals that a node has accepted stay with it; new ones go to its successor."""
     words = (
-        f"goals of others that are under way at {listed(actions)}: they go on at {instance}, which runs beside its "
+        f"goals of others that are under way at {listed(actions)}: they continue at {instance}, which runs beside its "
         f"replacement until they have ended, for at most {patience:g} s (`patience`); what is left then is cancelled"
     )
     return Assessment(instance, "not_measurable", words)
@@ -259,8 +259,8 @@ def goals_end_with(instance: str, actions: Sequence[str], *, planned: bool) -> A
 
 
 def calls_end_with(instance: str, called: Sequence[str], *, planned: bool) -> Assessment:
-    """The requests that a node has sent to services, and its goals of ROS actions, go on without it."""
-    words = "they go on when it ends, and it gets no answer" if planned else "they went on, and it got no answer"
+    """The requests that a node has sent to services, and its goals of ROS actions, continue without it."""
+    words = "they continue when it ends, and it gets no answer" if planned else "they continued, and it got no answer"
     words = f"requests and goals of {instance} that are under way at {listed(called)}: {words}"
     return Assessment(instance, "not_measurable", words)
 
@@ -306,7 +306,7 @@ def ended_with(node: str, words: str, instance: str, *, again: str | None, plann
 
 
 def unknown_others(instance: str, because: str) -> Assessment:
-    """Which other nodes end with an instance cannot be known."""
+    """The other nodes that end with an instance cannot be known."""
     return Assessment(instance, "not_measurable", f"which other nodes end with {instance}: {because}")
 
 

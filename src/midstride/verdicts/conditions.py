@@ -72,6 +72,11 @@ def is_missing(role: str, because: str) -> str:
     return because if because.startswith(role) else f"{role}: {because}"
 
 
+def cannot_be_reached(host: str, instances: Sequence[str]) -> str:
+    """A host with instances cannot be reached."""
+    return f"host {host} cannot be reached, so nothing is known of {some_of(instances)}"
+
+
 def crashes_again(role: str, number: int, window: float, because: str) -> str:
     """A node that runs has been restarted so often in the last ``window`` (s) during which it ran."""
     return f"{role} has been restarted {number} times in {window:g} s of running, the last time as {because}"

@@ -26,12 +26,12 @@ def unmeasured_exchange(
 
 
 def unmeasured_others(roles: Sequence[str], because: str) -> Assessment:
-    """Nodes that a change leaves alone, of which nothing measures whether they go on with their work."""
+    """Nodes that a change leaves alone, of which nothing measures whether they keep working."""
     return Assessment(listed(roles), "not_measurable", f"what {listed(roles)} {_do(roles)}: {because}")
 
 
 def why_unmeasured(component: ComponentSpec) -> str | None:
-    """Why nothing measures what a node of ``component`` does; None where a gate, a page or its own agent does.
+    """The reason why nothing measures what a node of ``component`` does; None where a gate, a page or its agent does.
 
     Of a program that ends, its exit status says that its work is done.
     """

@@ -93,7 +93,7 @@ def tasks(scope: int, modules: Sequence[str] | None = None) -> list[Task]:
 
 
 def parallel_jobs() -> int:
-    """How many processes this machine has processors and memory for; at least one."""
+    """The number of processes for which this machine has processors and memory; at least one."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(processors, int(psutil.virtual_memory().available) // (MEMORY * 2**20)))
 
@@ -154,7 +154,7 @@ def _checked(task: Task, solve: Callable[[Task], dict[str, SolverOutcome]]) -> C
 
 
 def _mismatch(command: AlloyCommand, outcome: SolverOutcome) -> str:
-    """How the result differs from the expectation."""
+    """The difference between the result and the expectation."""
     if not outcome.satisfiable:
         missing = "a counterexample" if command.kind == "check" else "an instance"
         return f"{command} should have {missing} at scope {command.scope}, but has none"

@@ -92,7 +92,7 @@ def configuration_detail(system: str) -> dict[str, str]:
 
 
 def step_detail(atoms: AlloyAtoms, given: Formula) -> dict[str, str]:
-    """Which part of a precondition fails, and for which functionality or port."""
+    """The part of a precondition that fails, and for which functionality or port."""
     parts = [f"(({condition}) implies none else {atoms.clause(message)})" for message, condition in given.clauses]
     return {"lacking": given.lacking, "attached": given.attached, "broken": " + ".join(parts) or "none"}
 

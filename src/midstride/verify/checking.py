@@ -28,8 +28,11 @@ Detail = Callable[[int | None], Dump]
 
 @dataclass(frozen=True, slots=True)
 class AlloyOptions:
-    """How Alloy is run: which Analyzer (None: the one that is found), its time limit (s), what receives the Alloy text,
-    and an event that stops it early."""
+    """The options of a run of Alloy.
+
+    The Analyzer (None: the one that is found), its time limit (s), what receives the Alloy text, and an event that
+    stops it early.
+    """
 
     alloy: Alloy | Path | None = None
     limit: float = TIME_LIMIT

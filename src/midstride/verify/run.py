@@ -190,7 +190,7 @@ def _jar(named: Path | None) -> Path:
 
 
 def jar_folders() -> list[Path]:
-    """Where to look for it: in the cache of a checkout (`make alloy`) and of the user."""
+    """The folders in which to look for it: the cache of a checkout (`make alloy`) and that of the user."""
     checkout = Path(__file__).resolve().parents[3]
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     in_checkout = [checkout / ".cache" / "alloy"] if (checkout / "Makefile").is_file() else []

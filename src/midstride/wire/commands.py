@@ -177,9 +177,9 @@ class AwaitReadersCommand(Command[Attached], frozen=True, kw_only=True, tag="awa
 
 
 class CountWritesCommand(Command[CountedWrites], frozen=True, kw_only=True, tag="count_writes"):
-    """How many messages an output has written on a topic, published or held back.
+    """Counts the messages that an output has written on a topic, published or held back.
 
-    Where it is not attached, as after its hand-over: how many it has written while it was attached to no topic.
+    Where it is not attached, as after its hand-over: those it has written while it was attached to no topic.
     """
 
     kind = "reading"

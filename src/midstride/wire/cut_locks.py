@@ -115,7 +115,7 @@ class FileLock:
 
 @cache
 def _kernel() -> str:
-    """Which kernel runs here, as hosts may have files of the same numbers; empty where it does not say."""
+    """The kernel that runs here, as hosts may have files of the same numbers; empty where it is not known."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:

@@ -18,7 +18,7 @@ ENV_BACKEND: Final = "MIDSTRIDE_BACKEND"
 ENV_PARAMETERS: Final = "MIDSTRIDE_PARAMETERS"
 # The values that were set while its predecessor ran, which it starts with instead.
 ENV_SET_PARAMETERS: Final = "MIDSTRIDE_SET_PARAMETERS"
-# For how long it goes on with the goals of its ROS actions, once its successor takes new ones (s).
+# For how long it continues the goals of its ROS actions, once its successor takes new ones (s).
 ENV_PATIENCE: Final = "MIDSTRIDE_PATIENCE"
 # Whether it publishes on `/diagnostics`: "0" switches that off.
 ENV_DIAGNOSTICS: Final = "MIDSTRIDE_DIAGNOSTICS"

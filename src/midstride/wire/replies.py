@@ -124,7 +124,7 @@ class StateOffer(WireValue, frozen=True, kw_only=True):
 
 
 class GatedWrites(WireValue, frozen=True, kw_only=True):
-    """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one.
+    """The number of messages written behind the gate; ``wrong_type``: what was wrong with the last refused one.
 
     ``failed``: user code has raised.
     """
@@ -135,7 +135,7 @@ class GatedWrites(WireValue, frozen=True, kw_only=True):
 
 
 class CountedWrites(WireValue, frozen=True, kw_only=True):
-    """How many messages an output has written."""
+    """The number of messages that an output has written."""
 
     written: int
 
@@ -173,7 +173,7 @@ class MovedState(WireValue, frozen=True, kw_only=True):
 
 
 class CutResult(WireValue, frozen=True, kw_only=True):
-    """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
+    """The end of a cut on this side, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
 
     Old side: *done* once it has passed the cut and the new side has written; of a lifecycle node, once it is inactive.
     *waiting*: not finished in time.
@@ -229,7 +229,7 @@ class PreviousParameters(WireValue, frozen=True, kw_only=True):
 
 
 class RecordingSwitched(WireValue, frozen=True, kw_only=True):
-    """When recording started or stopped: steady ns."""
+    """The time at which recording started or stopped (steady ns)."""
 
     now: int
 

@@ -51,7 +51,7 @@ class CutLock(Protocol):
 
     @property
     def place(self) -> str:
-        """Where the lock is; empty where that is not known. Two sides have one lock if they have it in one place."""
+        """The place of the lock; empty where unknown. Two sides have one lock if they have it in one place."""
 
     def share(self, place: str) -> None:
         """The other side has it, or had it, in ``place``."""
@@ -64,7 +64,7 @@ class CutLock(Protocol):
 
 
 class Transport(Protocol):
-    """Where the components of one system listen. An address is a string that can be sent and stored."""
+    """The addresses at which the components of one system listen: strings that can be sent and stored."""
 
     async def listen(self, instance: str, serve: Serve) -> StopListening:
         """Have ``serve`` called with each connection to ``instance``. Raises NodeError where the name is taken."""

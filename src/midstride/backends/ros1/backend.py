@@ -80,7 +80,7 @@ class Ros1Backend(processes.ProcessBackend, Backend):
         self._mark = mark
 
     async def close(self) -> None:
-        """Leave; the components go on, and the master with them. Without components, a master started here ends."""
+        """Leave; the components keep running, and so does the master, unless there are none and it was started here."""
         any_left = bool(self._processes)
         await self._stop_watching()
         if self._mark is None:

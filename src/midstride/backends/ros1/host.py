@@ -86,7 +86,7 @@ class Ros1Host:
         asyncio.run(self._must_be_alone())
         self.logger: Any = logging.getLogger("rosout")
         self._data = DataThread(
-            lambda failure: self.logger.error(f"a callback raised; the component goes on:\n{failure}")
+            lambda failure: self.logger.error(f"a callback raised; the component keeps running:\n{failure}")
         )
         self.parameters = node_parameters.Ros1NodeParameters(managed, self._show_parameter)
         self._ended = threading.Event()

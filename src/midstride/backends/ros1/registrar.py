@@ -44,7 +44,7 @@ class RegisteredTopic(Protocol):
     ref_count: int
 
     def joined(self) -> int:
-        """How many others are connected, compatible or not."""
+        """The number of others connected, compatible or not."""
         ...
 
     async def leave(self) -> None: ...

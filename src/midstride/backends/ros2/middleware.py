@@ -69,7 +69,7 @@ class RmwImplementation:
     name_delay: float = 4.0
 
     def process_of(self, info: Any) -> bytes | None:
-        """Which process has an endpoint of the graph: equal for those of one process. None if that is unknown."""
+        """The process that has an endpoint of the graph: equal for those of one process. None if that is unknown."""
         return None if self.participant is None else bytes(info.endpoint_gid)[: self.participant]
 
     def node_process(self, info: Any) -> NodeProcess | None:

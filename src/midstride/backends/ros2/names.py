@@ -45,7 +45,7 @@ def controlled(full_name: str) -> InstanceNode | None:
 
 
 def instances_of(node: str, in_graph: Iterable[str], system: str) -> int:
-    """How many instances of the role with the node ``node`` are among the nodes of the graph; one of them answers.
+    """Count the instances of the role with the node ``node`` among the nodes of the graph; one of them answers.
 
     One that was started by hand may belong to any system, as may all if ``system`` is empty. One that has ended may
     still be in the graph beside another of its name: each has a node ``node``, so each counts.
@@ -64,7 +64,7 @@ def _enclaves(tag: str) -> str:
 
 
 def outside(node: str, in_graph: Iterable[tuple[str, str]], system: str) -> int:
-    """How many of the nodes of the graph, each with its enclave, have that name and are not started by ``system``.
+    """Count the nodes of the graph, each with its enclave, that have that name and are not started by ``system``.
 
     A node without Midstride's API whose program names it itself has an enclave of the system.
     """

@@ -28,7 +28,7 @@ def answers(address: Address) -> bool:
 
 
 def routers(environment: Mapping[str, str]) -> list[Address]:
-    """Where the processes of rmw_zenoh look for a router; empty if that is not known.
+    """The addresses at which the processes of rmw_zenoh look for a router; empty if that is not known.
 
     ``ZENOH_CONFIG_OVERRIDE`` is read as rmw_zenoh does it: pairs ``KEY=VALUE`` with ``;`` between them. A file of
     settings (``ZENOH_SESSION_CONFIG_URI``) is not read, nor another transport than TCP tried.

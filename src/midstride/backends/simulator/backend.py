@@ -148,8 +148,8 @@ class Simulator(Backend):
     async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
         """Simulated programs use Midstride's API: SIGINT and SIGTERM are one to them.
 
-        One that shares the process of a container leaves it, and the others go on. Raises BackendError where it does
-        not: it can only be killed with them.
+        One that shares the process of a container leaves it, and the others keep running. Raises BackendError where it
+        does not: it can only be killed with them.
         """
         process = self.processes.get(instance)
         if process is None:

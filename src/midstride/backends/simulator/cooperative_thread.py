@@ -78,7 +78,7 @@ class CooperativeThread:
         else:
             self._go.release()
         if not self._yields():
-            self.ended = True  # a thread cannot be stopped: it goes on, and what it does is ignored
+            self.ended = True  # a thread cannot be stopped: it continues, and what it does is ignored
             raise BackendError(
                 f"the code of {self.name} did not return within {COMPUTE_LIMIT:g} s of real time: the simulator runs "
                 "one component at a time, and of all blocking calls it can skip `time.sleep` only"

@@ -1,4 +1,4 @@
-"""A future as rclpy's are: whatever waits for it goes on on the data thread of its process."""
+"""A future as rclpy's are: whatever waits for it is resumed on the data thread of its process."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ class SimulatedClock:
                 self._recorded = steady
 
     def loop_time(self, ros: int) -> float:
-        """When on the loop's clock the ROS clock reads ``ros``; infinite where it stands still before that."""
+        """The loop's time at which the ROS clock reads ``ros``; infinite where it has stopped before that."""
         if not self.driven:
             return self._zero + (ros - EPOCH) / 1e9
         left = ros - self.ros_now()

@@ -129,7 +129,7 @@ def restart_command(
     same_process: bool,
     options: RequestOptions,
 ) -> int:
-    """Start nodes again, with what their programs are now: each is handed over to a new instance.
+    """Restart nodes with the code now on disk: each is handed over to a new instance.
 
     The name of a container stands for all of its nodes, which move to a new process together. The plan says what is
     lost on the way, and of which nodes nothing is measured, as of one without ports.
@@ -241,7 +241,7 @@ def apply_command(
             )
         out = console(stderr=wants_json())
         for before, after in renamed_components(running.components, target.components):
-            out.print(f"component {before} is renamed {after}, and its nodes go on", markup=False)
+            out.print(f"component {before} is renamed {after}; its nodes keep running", markup=False)
         for node, files in sorted(changed.items()):
             out.print(f"{node}: {code_words(files)}", markup=False)
         for line in other_overlay(programs):

@@ -49,7 +49,8 @@ def dev_command(
     """Run the system of FILE, and on each save swap exactly the nodes that it changes, without losing a message.
 
     Watched are FILE, what it includes, its parameter files, and the programs with the modules that they import. Code
-    that does not start, raises or stays silent is not let in: the old code goes on. With --json, each swap is a line.
+    that does not start, raises or stays silent is rejected; the old code keeps running. With --json, each swap is a
+    line.
 
     Ctrl-C, or the end of the terminal, ends a system that this command has started; one that was running goes on.
     """
@@ -113,7 +114,7 @@ class _Screen:
         if self._json:
             print_json({"changed": what, "outcome": "refused", "because": because}, lines=True)
         else:
-            self.say(f"{what}: not let in, the old code goes on: {because.strip()}", "red")
+            self.say(f"{what}: rejected; the old code keeps running: {because.strip()}", "red")
 
     def faulty(self, error: SpecificationError) -> None:
         from midstride.cli.error_output import report

@@ -17,6 +17,7 @@ from midstride.cli import taking_over
 from midstride.cli.input_files import load
 from midstride.cli.platforms import make_backend
 from midstride.cli.specification_argument import absolute
+from midstride.cli.stack_dump import dump_stacks_on_signal
 from midstride.codec.specification_form import encode_specification
 from midstride.errors import ManagerBusy, SpecificationError
 from midstride.model.component import DEFAULT_STOP
@@ -91,6 +92,7 @@ def manager_command(
     tcp = None if http is None else Tcp(http, http_host or LOOPBACK)
 
     async def run() -> int:
+        dump_stacks_on_signal(asyncio.get_running_loop())
         shortening = asyncio.ensure_future(_shorten_log(workspace.manager_log))
         try:
             saved, lock = await _still_running(workspace)

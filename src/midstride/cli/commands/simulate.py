@@ -50,8 +50,9 @@ def simulate_command(file: Path | None, seeds: int, first: int, seed: int | None
     midstride simulate talker.stride --replace talker=NewTalker --seed 17
 
     Components crash, hang and start slowly, messages are lost and delayed, the disk is full, and the manager is killed.
-    When the faults are over, the system must be as it should. Programs are not run: a stand-in takes the place of each
-    and writes what its modes guarantee. Without FILE, a built-in system is changed, which tests Midstride itself.
+    When the faults are over, the system must have converged to its specification. Programs are not run: a stand-in
+    takes the place of each and writes what its modes guarantee. Without FILE, a built-in system is changed, which tests
+    Midstride itself.
 
     Exit status 1 if a run violates an invariant; the first one is shown.
     """

@@ -203,7 +203,7 @@ def missing_lines(report: UpReport) -> Iterator[str]:
     for node, because in report.missing.items():
         yield f"Missing: {because if because.startswith(node) else f'{node}: {because}'}"
     if report.missing:
-        yield f"Fix the cause, then `midstride restart {' '.join(report.missing)}`. The others go on meanwhile."
+        yield f"Fix the cause, then `midstride restart {' '.join(report.missing)}`. The others keep running meanwhile."
 
 
 def bring_up(client: Client, workspace: Workspace, arguments: list[str], earlier: int | None = None) -> UpReport:
@@ -218,7 +218,7 @@ def bring_up(client: Client, workspace: Workspace, arguments: list[str], earlier
         _wait_for_manager(client, manager, log, earlier)
         return _wait_until_up(client)
     except KeyboardInterrupt:
-        if earlier is not None:  # its components go on
+        if earlier is not None:  # its components keep running
             click.echo(f"\n{workspace.name} is taken over all the same; `midstride status` shows it.", err=True)
             raise
         click.echo(f"\nStopping everything started for {workspace.name} …", err=True)

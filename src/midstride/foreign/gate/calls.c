@@ -161,7 +161,7 @@ static bool must_pass(void *timer)
   return has_to_leave(me);
 }
 
-/* Its time passes without a call, else the executor would find it ready again and again. It is not cancelled: to have it go on
+/* Its time passes without a call, else the executor would find it ready again and again. It is not cancelled: to resume it
  * later, by rcl_timer_reset, calls the executor, and that may wait for a thread that waits for `lock`. The callback of a timer
  * in C is called within librcl, so it is taken out meanwhile; rclcpp and rclpy have none there. */
 static int pass(void *timer)

@@ -1,4 +1,4 @@
-"""When the messages of one attachment came or went, and what follows from it: rate, age and jitter.
+"""The times at which the messages of one attachment came or went, and what follows: rate, age and jitter.
 
 All of it is on the node's ROS clock, so it is also right where a simulation runs slower than real time
 (docs/protocols/measurement.md). The data path appends one time per message; everything else is computed on demand.
@@ -55,7 +55,7 @@ class MessageTimes:
         return now
 
     def last(self) -> int | None:
-        """When the last message came or went (ns); None if there was none."""
+        """The time at which the last message came or went (ns); None if there was none."""
         times = self._times
         return times[-1] if times else None
 

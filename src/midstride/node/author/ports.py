@@ -354,7 +354,7 @@ class Output(_Port[OutputLink]):
         kept.append(message)
 
     def observed_grid(self) -> tuple[int, float] | None:
-        """Where messages come at a steady rate: a moment shortly after one of them (ns), and their period (s).
+        """The grid of messages at a steady rate: a moment shortly after one of them (ns), and their period (s).
 
         A cut at such a moment leaves the new side the whole period that follows.
         """
@@ -366,7 +366,7 @@ class Output(_Port[OutputLink]):
 
     @property
     def count(self) -> int:
-        """How many messages the author has written, published or not."""
+        """The number of messages that the author has written, published or not."""
         count = self.unattached
         for link in self.links:  # a loop, as below: the reflex asks ten times a second
             count += link.count + link.gated
@@ -450,7 +450,7 @@ class Input(_Port[InputLink]):
         return bool(received) and all(link.fields.violated for link in received)
 
     def last_receipts(self) -> tuple[tuple[int, Any], ...]:
-        """When the last messages were received (steady, ns), and the middleware's report of each. On any thread."""
+        """The times of the last receipts (steady, ns), each with the middleware's report. On any thread."""
         return tuple(self.receipts)[-REMEMBERED:]
 
     def remove(self, link: InputLink) -> None:
@@ -460,7 +460,7 @@ class Input(_Port[InputLink]):
 
     @property
     def count(self) -> int:
-        """How many messages it has received since it was attached, without those that violate its constraints."""
+        """The number of messages received since it was attached, without those that violate its constraints."""
         count = 0
         for link in self.links:
             count += link.count - link.violating

@@ -196,7 +196,7 @@ class ServerPort(Output):
         }
 
     def _responses(self, link: OutputLink) -> MeasuredResponses | None:
-        """How it answers where its mode guarantees a bound."""
+        """The response times where its mode guarantees a bound."""
         watch = link.watch if self.serving and isinstance(link, ServerLink) else None
         return None if watch is None else watch.responses
 

@@ -218,7 +218,7 @@ class Attachments:
         reader_ids: Sequence[str] = (),
         handed_over: bool = False,
     ) -> int:
-        """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s).
+        """The number of compatible endpoints matched, once that is ``wanted`` or after ``patience`` (s).
 
         The number alone may be right while one of the readers that are waited for is missing and another has come.
         """
@@ -271,7 +271,7 @@ class Attachments:
 
 
 def _missing(link: OutputLink | InputLink, reader_ids: Sequence[str]) -> int:
-    """How many of the readers the process has not discovered yet."""
+    """The number of readers that the process has not discovered yet."""
     return len(set(reader_ids) - link.endpoint.reader_ids()) if isinstance(link, OutputLink) and reader_ids else 0
 
 

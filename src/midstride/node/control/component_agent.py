@@ -162,7 +162,7 @@ class Agent:
     def _publish_diagnostics(self, state: ComponentState) -> None:
         try:
             self.host.publish_diagnostics(partial(diagnostics, state, self.declaration))
-        except Exception as error:  # the platform's: the reports to the manager go on without them
+        except Exception as error:  # the platform's: reports to the manager continue without them
             self.diagnostics = False
             self.host.logger.error(f"nothing is published on /diagnostics any more: {type(error).__name__}: {error}")
 
@@ -227,7 +227,7 @@ class Agent:
             return await self._carry_out(request, command, token)
 
     def _mismatch(self, expected: int | None, actual: int) -> str:
-        """Why a request that expects another revision is refused: what changed it, if user code did by raising."""
+        """The refusal of a request that expects another revision: what changed it, if user code did by raising."""
         at, failure = self._revision.failure
         if expected is not None and expected < at:
             return failure

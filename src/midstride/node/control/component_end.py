@@ -108,7 +108,7 @@ class ComponentEnd:
         return self.handovers.answering.may_pass_on and self.host.admission.answered_within(CALLED_WITHIN)
 
     async def _finish_goals(self) -> None:
-        """Where a successor takes new goals, go on with its own until they have ended; then leave their results to it.
+        """If a successor takes new goals, finish its own goals, then leave their results to the successor.
 
         What has not ended after the patience is cancelled.
         """
@@ -162,7 +162,7 @@ class ComponentEnd:
             await self.host.sleep(0.01)
 
     def seconds(self) -> float:
-        """How long :meth:`run` takes where user code keeps to its times.
+        """The time that :meth:`run` takes where user code keeps to its times.
 
         That of a request that is being handled, or may have to be passed on, of the call under way, and of `on_stop`.
         """

@@ -133,7 +133,7 @@ class Watch:
         return port.denied or shortfall.exceeds(periods, slow=port.tolerates is not None)
 
     def why(self, port: Input, speed: float) -> str:
-        """Why ``port``, which is broken, is, in words."""
+        """The reason why ``port`` is broken, in words."""
         if isinstance(port, ClientPort) and port.gone is not None:
             return port.gone
         rate, topics = port.rate, ", ".join(link.topic for link in port.links)
@@ -267,7 +267,7 @@ class Reflex:
             self._show(runner, fall)
 
     def _hang(self, watch: Watch, speed: float) -> str | None:
-        """Why a promised output is silent, where a call of user code is the cause.
+        """The reason why a promised output is silent, where a call of user code is the cause.
 
         A mode whose calls return without a write is no hang: the manager's status shows it, and the readers notice.
         """

@@ -23,7 +23,7 @@ TAKEN: Final = 0.1
 
 
 class AnsweringServer(Protocol):
-    """How many requests a server has ``answered``, and how long the last ones ``took`` (us).
+    """The number of requests that a server has ``answered``, and the times that the last ones ``took`` (us).
 
     That of response n is at n modulo the length of ``took``.
     """
@@ -35,7 +35,7 @@ class AnsweringServer(Protocol):
 
 
 def latest_responses(server: AnsweringServer, known: int | None) -> tuple[int, list[float]]:
-    """How many requests it has answered, and how long each response took since it had answered ``known`` of them (s).
+    """The number of requests that it has answered, and the time of each response since it had answered ``known`` (s).
 
     Of more than are kept, the last ones; none where ``known`` is None.
     """

@@ -78,7 +78,7 @@ class Shortfall:
         self.silent /= 2
 
     def words(self, rate: float) -> tuple[str, float]:
-        """How much has come in how many seconds: nothing since the last message, or too little for longer."""
+        """The amount that has come in so many seconds, in words: nothing since the last message, or too little."""
         if 2 * self.silent >= self.periods:
             return "nothing", self.silent / rate
         return counted(self.came, "message"), self.periods / rate

@@ -150,7 +150,7 @@ class OnSet(_Listening):
         return self._host.now() if source is None else source
 
     def _match(self, index: int) -> None:
-        """If the newest message of input ``index`` completes a set, call the function and drop older messages."""
+        """Call the function if the newest message of input ``index`` completes a set, and drop older messages."""
         newest = self._waiting[index][-1]
         chosen = []
         for other, waiting in enumerate(self._waiting):

@@ -1,4 +1,4 @@
-"""Which of the two sides of a cut may write: never both, whatever each of them knows of the other.
+"""The decision which of the two sides of a cut may write: never both, whatever each of them knows of the other.
 
 Each side has its own arbiter. The right to write passes to the new side when that takes it, and back to the old
 one when the new one gives it back, or its process ends (docs/semantics.md section 7).

@@ -74,7 +74,7 @@ def comparable(host: Host, clock: CutClock, other: CutClock) -> bool:
 
 
 def source_of(info: Any, host: Host) -> int:
-    """When the message that a call answers was published, else its stamp, else now; of a set, the newest."""
+    """The publication time of the message that a call answers, else its stamp, else now; of a set, the newest."""
     if isinstance(info, InfoSet):
         return max(source_of(one, host) for one in info)
     facts = host.read_info(info)

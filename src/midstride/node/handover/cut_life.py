@@ -12,7 +12,7 @@ from midstride.transitions import Transitions
 
 
 class CutPhase(Enum):
-    """How far a side is."""
+    """The progress of a side."""
 
     APPROACHING = "approaching"  # waits for T
     CROSSING = "crossing"  # T has come: the old side writes the rest, the new one its first message
@@ -31,7 +31,7 @@ class CutProgress(Enum):
 
 
 class CutState(Enum):
-    """How the cut has ended here; the values are those of :data:`midstride.wire.replies.CutOutcome`."""
+    """The result of the cut on this side; the values are those of :data:`midstride.wire.replies.CutOutcome`."""
 
     WAITING = "waiting"
     DONE = "done"

@@ -279,7 +279,7 @@ class LeaseKeeper:
         await self.tell()
 
     async def tell(self) -> None:
-        """Where this side never writes again, have the old one know; that takes until it can be reached."""
+        """Notify the old side if this side never writes again; that takes until it can be reached."""
         if self._telling:
             return
         self._telling, pause = True, TELLING

@@ -255,7 +255,7 @@ class StateExport(_Transfer):
 
     @property
     def heard_at(self) -> int:
-        """When the new side last showed that it works (steady, ns). Nothing is expected of it before the export."""
+        """The time of the new side's last sign that it works (steady, ns). None is expected before the export."""
         return self.host.steady() if self._heard_at is None else self._heard_at
 
     def given_up(self, patience: float) -> bool:

@@ -102,7 +102,7 @@ def scarce_resources(change: Change) -> list[str]:
 
 
 def free_slots(change: Change, connector: str) -> int | None:
-    """How many more publishers a topic admits at the start, old and new contract together; None: any number."""
+    """The number of further publishers that a topic admits at the start, for both contracts together; None: any."""
     context = change.start.context
     cap = context.connectors[connector].max_publishers
     if cap is None:

@@ -145,7 +145,7 @@ class PartLosses:
         self._counted = self._count_roles()
 
     def _supply(self, name: str, number: int) -> int:
-        """How many outputs that the part can lower satisfy the topic; very many if another one always does."""
+        """The number of outputs that satisfy the topic and that the part can lower; very many if another one does."""
         full, connector = self.full, self.full.context.connectors[name]
         needed, count = connector.guarantee, 0
         if any(satisfies(offer.guarantee, needed) for offer in full.context.publishers_out_of_scope(connector)):

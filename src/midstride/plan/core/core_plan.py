@@ -29,7 +29,7 @@ _EPSILON: Final = 1e-7
 
 
 class Budget:
-    """How long the search may take: in states, where the result must not depend on the machine, or in seconds."""
+    """The limit of the search: in states, where the result must not depend on the machine, or in seconds."""
 
     def __init__(
         self, states: float = 20_000, seconds: float = inf, clock: Callable[[], float] = time.monotonic
@@ -115,7 +115,7 @@ def search_core(
 
 
 def _keeps(levels: Levels, constraints: Iterable[Constraint]) -> dict[FunctionalityRef, int]:
-    """How many levels below its baseline each functionality may be that is to be kept.
+    """The number of levels below its baseline that each functionality may be that is to be kept.
 
     A ``limit`` of 0 s keeps it at the baseline.
     """

@@ -140,7 +140,7 @@ class SearchState:
         return new in self.builder.configuration.instances and new not in self.swaps
 
     def shortage(self, resource: str, amount: Fraction) -> Fraction:
-        """How much of the resource is missing for ``amount`` more of it; at most 0 where there is room."""
+        """The amount of the resource that is missing for ``amount`` more of it; at most 0 where there is room."""
         configuration = self.builder.configuration
         capacity = to_fraction(configuration.context.capacity(resource))
         return configuration.held.get(resource, _NOTHING) + amount - capacity
@@ -170,7 +170,7 @@ class SearchState:
         return port.instance in builder.configuration.instances and builder.change.role_of(port.instance) in unblocked
 
     def free_slots(self, connector: str) -> float:
-        """How many more publishers the topic admits. Old and new contract of one topic count together."""
+        """The number of further publishers that the topic admits. Old and new contract of one topic count together."""
         configuration = self.builder.configuration
         cap = configuration.context.connectors[connector].max_publishers
         if cap is None:

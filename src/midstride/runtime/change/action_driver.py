@@ -125,7 +125,7 @@ class ActionDriver:
 
     @property
     def _state_timeout(self) -> float:
-        """How long state may take to move, to be exported or to be imported (s)."""
+        """The time that state may take to move, to be exported or to be imported (s)."""
         return handover_seconds(self.change.target.timing, "state_timeout")
 
     @property
@@ -388,7 +388,7 @@ class ActionDriver:
         return {old: new for old, new in self.change.plan.change.replaced.items() if old in self._keeping}
 
     def not_answering(self) -> list[str]:
-        """Why a roll-back is incomplete although each step is undone: what should answer again does not."""
+        """The reason why a roll-back is incomplete although each step is undone: what should answer again does not."""
         life = self.system.life
         latest = {name: life.latest(name) for name in self._not_answering if not life.is_gone(name)}
         return [self._not_answering[name] for name, each in latest.items() if each is None or not each.state.answers]

@@ -1,4 +1,4 @@
-"""Which instance of a role answers the requests to its node, as instances come and leave."""
+"""The instance of a role that answers the requests to its node, as instances come and leave."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ async def have_first_answer(
 async def have_others_answer(
     client: ComponentClient, events: EventLog, configuration: Configuration, leaving: str, runs: bool
 ) -> dict[str, str]:
-    """If another instance has the role of one that leaves, have it answer from now on; ``runs``: whether that does.
+    """Have another instance of its role, if there is one, answer from now on; ``runs``: whether that does.
 
     Returns those that do not, and why.
     """

@@ -60,7 +60,7 @@ class ChangePermission:
     # -- the decision ------------------------------------------------------------------------------------
 
     def refusal(self, override: Override = NO_OVERRIDE, *, recovery: bool = False) -> str | None:
-        """Why a change must not begin now, None if it may. ``recovery``: the manager makes it without a command."""
+        """The reason why a change must not begin now, or None. ``recovery``: the manager makes it without a command."""
         return self._locked(override, recovery) or self.unmet(override, recovery=recovery)
 
     def _locked(self, override: Override, recovery: bool) -> str | None:
@@ -70,7 +70,7 @@ class ChangePermission:
         return f"{lock.words}; {_UNLOCK}"
 
     def unmet(self, override: Override = NO_OVERRIDE, *, recovery: bool = False) -> str | None:
-        """Which requirements do not hold now, and why; None if all do. A lock does not count here."""
+        """The requirements that do not hold now, with the reasons; None if all do. A lock does not count here."""
         if override.requirements:
             return None
         found = [each for each in self.requirements() if not each.holds and (each.recovery or not recovery)]
@@ -239,7 +239,7 @@ class ChangePermission:
 
 
 def why_unmet(requirement: ChangeRequirement, heard: HeardMessage, now: float) -> str | None:
-    """Why a requirement does not hold ``now`` (steady s), None if it does. What is unknown does not allow a change."""
+    """The reason why a requirement does not hold ``now`` (steady s), None if it does. An unknown one does not hold."""
     if heard.problem is not None:
         return heard.problem
     if not heard.publishers:

@@ -135,7 +135,7 @@ class ChangePlanner:
         return replace(plan, remarks=remarks, besides=besides, parameters=times), target
 
     def ends_others(self, plan: Plan) -> str | None:
-        """Why ``plan`` is refused, unless the other nodes that it ends are meant; None if there are none."""
+        """The reason why ``plan`` is refused, unless the other nodes that it ends are meant; None if there are none."""
         return would_end_others(ending_nodes(plan, self.others.look()))
 
     async def _said(self, roles: Iterable[str]) -> dict[str, Values]:

@@ -44,6 +44,7 @@ from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.handover.fences import DEFAULT_WAIT
+from midstride.runtime.process.reached_hosts import require_reached
 from midstride.runtime.records.change_report import ChangeTimeline
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
@@ -69,7 +70,7 @@ LONGEST_FIRST_CALLS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class _Execution:
-    """When the steps of a plan ended (steady s), and how long they took.
+    """The times at which the steps of a plan ended (steady s), and their durations.
 
     ``seconds``: how long they took together; ``times``: each of those that were done.
     ``below_baseline_seconds``: for how long each functionality was below its baseline.
@@ -140,6 +141,7 @@ class ChangeSession:
             plan, target = await self.planner.plan(request)
             self.store.require()
             await self.reach_hosts(target)
+            require_reached(self.backend, plan, self.system.configuration)
             if not self.backend.hands_over_between_hosts:
                 require_no_moves(plan, self.system.configuration)
         except (PlanRefused, ManagerError, BackendError) as error:
@@ -191,9 +193,10 @@ class ChangeSession:
         """The change that carries ``plan`` out, from now on in the journal; ``is_new``: no system runs yet.
         ``partial``: what cannot be created is left out.
 
-        ``keep``: with the parameter values that were set at run time. ``brief``: new publishers are let in after their
-        first calls, and the next command does not wait for the whole measurement. ``wait``: after how long a component
-        that hangs, and is to go, is fenced (s). Raises Superseded; where the journal is ``required``, ManagerError.
+        ``keep``: with the parameter values that were set at run time. ``brief``: new publishers are accepted after
+        their first calls, and the next command does not wait for the whole measurement. ``wait``: after how long a hung
+        component that is being replaced is fenced (s). Raises Superseded; where the journal is ``required``,
+        ManagerError.
         """
         system = self.system
         preview = await asyncio.to_thread(PlanPreview.of, plan)  # which steps of a large plan commute takes a while
@@ -420,7 +423,7 @@ class ChangeSession:
             self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
 
     def _first_calls(self, actions: Sequence[Action]) -> float:
-        """How long the first calls of the functionalities that ``actions`` have raised take (s).
+        """The time that the first calls of the functionalities that ``actions`` have raised take (s).
 
         Of a program without ports only its process shows that it works, so it is watched for the longest time.
         """

@@ -54,7 +54,7 @@ def room_for_copies(
 
 
 def _ways_out(plan: Plan) -> str:
-    """How the nodes of a plan get new code with less memory."""
+    """The ways in which the nodes of a plan get new code with less memory."""
     roles = sorted({plan.change.role_of(name) for names in _copied(plan).values() for name in names})
     stop = "use `--strategy stop`, which ends the old process first and pauses what is in it"
     if len(roles) < 2:

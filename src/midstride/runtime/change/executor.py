@@ -81,7 +81,7 @@ class Executor:
 
     @property
     def times(self) -> list[StepTime]:
-        """How long each step took that is done, in their order."""
+        """The durations of the steps that are done, in their order."""
         return [self._times[index] for index in sorted(self._times)]
 
     async def run(self, overlap: Overlap | None = None) -> None:
@@ -295,7 +295,7 @@ class Executor:
     async def _leave_out(self, indices: Sequence[int], failures: Mapping[int, BaseException]) -> bool:
         """In a partial change, end the instances of the failed steps and leave them out; whether that is possible.
 
-        It is where the change creates all of them, and the manager is to go on. What has lost their support is lowered
+        It is where the change creates all of them, and the manager continues. What has lost their support is lowered
         by the caller of the change.
         """
         change, life = self.change, self.system.life

@@ -142,9 +142,9 @@ def what_ended(
     """Assess what ends, or has ended, with the instance ``name``, of which no more than ``known`` is known.
 
     ``new``: why the graph has shown nothing of it yet. ``beside``: that of its successor, where that ran beside it. Of
-    two nodes with the library in their processes, the successor goes on with each service and ROS action; where it has
-    another name, not with those below the old one. Where one of the two has the API, it goes on with each service. Of
-    these, those count that it ``offers``, in words; None: that is not known. The old one goes on with the goals that it
+    two nodes with the library in their processes, the successor takes over each service and ROS action; where it has
+    another name, not with those below the old one. Where one of the two has the API, it takes over each service. Of
+    these, those count that it ``offers``, in words; None: that is not known. The old one finishes the goals that it
     has accepted, as does a component with the API beside another one. ``spare``: no manager has accepted it, and
     another instance of its role runs: that answers, as long as something holds this one back, so it ends with no more
     than what it has called.
@@ -201,7 +201,7 @@ def what_ended(
 def _gone_on_with(
     name: str, served: Sequence[str], offers: Collection[str] | None, *, planned: bool
 ) -> Iterator[Assessment]:
-    """Assess what a successor is to go on with: what it lacks, where it is known what it ``offers``."""
+    """Assess what a successor takes over: what it lacks, where it is known what it ``offers``."""
     if offers is None:
         yield change_facts.answered_if_offered(name, served, planned=planned)
     elif lacking := [each for each in served if each not in offers]:
@@ -257,7 +257,7 @@ def with_goals(states: Mapping[str, LatestState], endpoints: Mapping[str, Sequen
 
 
 def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:
-    """When the replacement of a node with the library in its process begins to answer requests, in words.
+    """The moment at which the replacement of a node with the library begins to answer requests, in words.
 
     ``states``: the last reports of the nodes that ``plan`` removes.
     """
@@ -275,7 +275,7 @@ def answered_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[
 
 
 def messages_in_turn(plan: Plan, states: Mapping[str, LatestState]) -> Iterator[str]:
-    """How the messages that a plain node answers are shared with its replacement, in words.
+    """The way in which the messages that a plain node answers are shared with its replacement, in words.
 
     ``states``: the last reports of the nodes that ``plan`` removes.
     """

@@ -22,7 +22,7 @@ LAST_LOOK: Final = 0.1
 
 
 def reasons_to_stay(life: LifeTable, instance: str) -> list[str]:
-    """Why ``instance`` must not end, in words; none where no lifecycle manager is known to notice."""
+    """The reasons why ``instance`` must not end, in words; none where no lifecycle manager is known to notice."""
     latest = life.latest(instance)
     return [] if latest is None or life.has_exited(instance) else latest.state.managed
 

@@ -28,7 +28,7 @@ def ending_nodes(plan: Plan, others: Mapping[str, OtherNodes]) -> dict[str, Othe
 
 
 def would_end_others(ending: Mapping[str, OtherNodes]) -> str | None:
-    """Why a plan that ends these is refused, unless they are meant too; None where no other node is known to end."""
+    """The reason why a plan that ends these is refused, unless they are meant too; None where it ends no other node."""
     found = [f"{', '.join(each.names)} with {name}" for name, each in sorted(ending.items()) if each.nodes]
     if not found:
         return None

@@ -37,7 +37,7 @@ from midstride.wire.state import ComponentState
 
 
 def unread_parameters(instance: Instance, state: ComponentState | None) -> str | None:
-    """Why it is unknown what was set on ``instance`` while it ran; None where that is known, or does not matter."""
+    """The reason why what was set on ``instance`` at run time is unknown; None where it is known, or no matter."""
     if state is None or not state.unread_parameters:
         return None
     when = "since it last said its parameters" if state.parameters else "while it ran"

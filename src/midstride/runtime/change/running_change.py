@@ -29,11 +29,11 @@ class RunningChange:
     """The change of a running system to ``target`` by ``plan``; ``preview`` is the plan's form.
 
     ``entry`` records it in the journal, and ``recording`` what subscribers receive meanwhile; ``parameters`` carries
-    over what was set at run time. ``patience``: after how long a component that hangs, and is to go, is fenced (s).
+    over what was set at run time. ``patience``: after how long a hung component that is being replaced is fenced (s).
     ``before`` is the configuration that it started from, and ``missing_before`` what had exited by then. ``verdict`` is
     Alloy's on the plan, if it was asked.
 
-    ``brief``: new publishers are let in after their first calls, and their rates are judged afterwards, until
+    ``brief``: new publishers are accepted after their first calls, and their rates are judged afterwards, until
     ``hurried``, if given, is set.
 
     ``partial``: an instance that cannot be created is left out, and its steps end with the creations; by role,

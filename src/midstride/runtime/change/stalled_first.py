@@ -1,4 +1,4 @@
-"""Which nodes a change replaces before all others: those whose middleware stands still.
+"""The nodes that a change replaces before all others: their middleware has stopped discovering.
 
 One that discovers no new endpoints would not hear a new publisher, and not be heard by a new subscriber. So it is
 replaced before anything that it exchanges messages with (docs/protocols/faults.md).

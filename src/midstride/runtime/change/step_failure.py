@@ -1,4 +1,4 @@
-"""Why a step of a change has failed, in words."""
+"""The reason why a step of a change has failed, in words."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EXIT_INTERVAL: Final = 0.05
 
 
 async def failure_reason(driver: ActionDriver, action: Action, error: BaseException) -> str:
-    """Why a step has failed, with what a new instance has written last, where it has exited or raised.
+    """The reason why a step has failed, with what a new instance has written last, where it has exited or raised.
 
     Nothing else would show it: the roll-back removes the instance.
     """

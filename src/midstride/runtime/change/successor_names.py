@@ -1,4 +1,4 @@
-"""How the ROS node of a replacement is called, and for how long its services are gone, as plan and report say it.
+"""The name of a replacement's ROS node, and for how long its services are gone, as plan and report say it.
 
 A replacement has the name of the node that it replaces where one of the two answers while both run, or the old one ends
 first (docs/protocols/foreign.md). Where neither is so, what knows the old node by its name no longer reaches anything.

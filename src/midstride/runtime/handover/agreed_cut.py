@@ -78,7 +78,7 @@ class Cut:
     lease: float = 0.0
 
     def resume_after(self) -> float:
-        """How long the old side waits for the new one's first write (s, on the clock of the cut)."""
+        """The time that the old side waits for the new one's first write (s, on the clock of the cut)."""
         period = self.period if self.period is not None else self._declared_period()
         if period is None:
             return RESUME_WITHOUT_RATE
@@ -108,7 +108,7 @@ class Cut:
         )
 
     def timeout(self, stretch: float) -> float:
-        """How long it may take until both sides know how it ended (s); ``stretch`` as for a slow clock."""
+        """The time that it may take until both sides know how it ended (s); ``stretch`` as for a slow clock."""
         moving = 0.0 if self.state is None else self.state.timeout
         return (
             self.lead + self.resume_after() * stretch + LEASE_SLACK * self.lease + 2.0 + moving + self.arbiter.exchange
@@ -219,7 +219,7 @@ def _first_slot(cut: Cut, moment: int) -> int:
 async def publishers_found(
     client: ComponentClient, configuration: Configuration, connector: str, early: int = 0
 ) -> dict[PortRef, int]:
-    """How many publishers each subscriber of ``connector`` that answers is matched with, before new ones attach.
+    """The number of publishers that each subscriber of ``connector`` is matched with, before new ones attach.
 
     A publisher that has just left may still be counted, so a subscriber that counts more than there are in the model is
     asked again for a while. That is not done if some of the new ones are ``early``: they may be counted as well.
@@ -238,7 +238,7 @@ async def publishers_found(
 
 
 def early_publishers(configuration: Configuration, new: Iterable[PortRef]) -> int:
-    """How many of these exist as long as their processes, attached or not: those without an agent in them."""
+    """The number of these that exist as long as their processes, attached or not: those without an agent in them."""
     return sum(not configuration.component(port.instance).has_agent for port in new)
 
 

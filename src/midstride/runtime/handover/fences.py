@@ -33,7 +33,7 @@ LONG: Final = 2.0
 
 
 def hanging(life: LifeTable, leaving: Iterable[Instance]) -> Iterator[str]:
-    """Yield which of the instances that are to go hang now, and how much longer a change may take for each."""
+    """Yield which of the instances that are being removed hang now, and how much longer a change may take for each."""
     for instance in leaving:
         name = instance.name
         if instance.component.once or life.is_gone_or_fenced(name):
@@ -59,7 +59,7 @@ class StepBudget:
     until: float
 
     def timeout(self, instance: str, usual: float) -> float:
-        """How long a command to ``instance`` may wait for user code: what is left, or ``usual`` seconds for others."""
+        """The time that a command to ``instance`` may wait for user code: what is left, or ``usual`` seconds."""
         if instance not in self.instances:
             return usual
         return max(PATIENCE, self.until - self.client.clock.steady())
@@ -90,7 +90,7 @@ class Fences:
         return state is not None and any((each.busy or 0.0) > self.wait for each in state.functionalities.values())
 
     async def unresponsive(self, instance: str, deadline: float, leaving: Sequence[str] = ()) -> str | None:
-        """Why ``instance`` is not free until ``deadline`` (steady s); None as soon as it is free, or has exited.
+        """The reason why ``instance`` is not free until ``deadline`` (steady s); None once it is free, or has exited.
 
         ``leaving``: its functionalities that are to leave their modes, which an async call begun on entry prevents.
         """
@@ -144,7 +144,7 @@ class Fences:
             raise StepFailed(f"{instance} could neither be fenced ({error}) nor killed: {failure}") from failure
 
     def problems(self) -> Iterator[str]:
-        """Why a roll-back is incomplete."""
+        """The reasons why a roll-back is incomplete."""
         for name, fenced in sorted(self.client.life.fenced.items()):
             yield f"{name} was fenced, and its topics are not handed back to it: {fenced.because}"
 

@@ -445,7 +445,7 @@ class LiveHandover:
         return last
 
     async def _ended_at_old(self, cut: Cut) -> CutResult:
-        """How the cut has ended at the old side. Raises MidstrideError.
+        """The end of the cut at the old side. Raises MidstrideError.
 
         If that has exited, its lease is no longer needed: the new one may not be able to know.
         """

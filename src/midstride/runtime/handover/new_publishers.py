@@ -47,7 +47,7 @@ class NewPublishers:
     quiet: set[Swap] = field(default_factory=set)
 
     async def readers(self, swap: Swap) -> tuple[int, list[str]]:
-        """How many living readers the old publisher has, and which, unless some of them are dead."""
+        """The living readers of the old publisher and their number, unless some of them are dead."""
         topic = self._topic(swap)
         grid = await self.client.read(swap.old.instance, commands.GridCommand(port=swap.old.port, topic=topic))
         dead = await self.backend.lingering_readers(topic)

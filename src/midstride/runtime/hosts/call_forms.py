@@ -154,7 +154,7 @@ class HandleForm(WireValue, frozen=True, kw_only=True):
 
 
 class StopTimesForm(WireValue, frozen=True, kw_only=True):
-    """How a process is ended."""
+    """The times for ending a process."""
 
     sigterm: float
     sigkill: float

@@ -136,7 +136,7 @@ def decode_greeting(line: bytes) -> HostGreeting:
 
 
 def other_version(spoken: int) -> str:
-    """Why a host process that speaks version ``spoken`` cannot be used."""
+    """The reason why a host process that speaks version ``spoken`` cannot be used."""
     return (
         f"its `midstride host` speaks version {spoken} of the protocol between hosts, and this is version "
         f"{HOST_PROTOCOL}: install the same version of Midstride on both, then `midstride down` and `midstride up`"

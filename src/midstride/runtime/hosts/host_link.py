@@ -21,7 +21,7 @@ import msgspec
 from midstride.errors import BackendError, CallTimeout, ProtocolError, Unreachable
 from midstride.model.component import KILL_AT_ONCE
 from midstride.model.hosts import HostSpec
-from midstride.runtime.backend_protocol import Exited
+from midstride.runtime.backend_protocol import Exited, HostLinkState
 from midstride.runtime.hosts import call_forms as calls
 from midstride.runtime.hosts import host_frames as frames
 from midstride.runtime.hosts.call_forms import ExitedForm, HandleForm, RemainingForm, StopTimesForm, error_of
@@ -66,6 +66,7 @@ class HostLink:
         self._on_exit, self._on_change = on_exit, on_change
         self._reads, self._connect = reads, connect
         self.problem: str | None = "it has not been connected yet"
+        self._since = time.time()  # it is connected, or not
         self.report: HostReport | None = None
         self.state = frames.StateFrame()
         self.handles: dict[str, HandleForm] = {}  # of the components that run there, as far as is known
@@ -80,6 +81,12 @@ class HostLink:
         self._tried = asyncio.Event()  # the first attempt is over
 
     @property
+    def shown(self) -> HostLinkState:
+        """The link as the status shows it."""
+        version = "" if self.report is None else self.report.version
+        return HostLinkState(self.host.name, self.host.ssh, self._since, self.problem, version)
+
+    @property
     def connected(self) -> bool:
         return self._writer is not None
 
@@ -90,7 +97,7 @@ class HostLink:
         await self._tried.wait()
 
     async def close(self) -> None:
-        """Leave the host; its components go on."""
+        """Leave the host; its components keep running."""
         if self._keeping is not None:
             self._keeping.cancel()
             await asyncio.gather(self._keeping, return_exceptions=True)
@@ -109,9 +116,11 @@ class HostLink:
                 why = f"{type(error).__name__}: {error}"
             if time.monotonic() - begun > LONGEST_PAUSE:
                 pause = FIRST_PAUSE
-            if why != self.problem and self._tried.is_set():
+            if self.problem is None:
+                self._since = time.time()
+            before, self.problem = self.problem, why
+            if why != before and self._tried.is_set():
                 self._on_change(f"host {self.host.name} cannot be reached: {why}")
-            self.problem = why
             self._tried.set()
             await asyncio.sleep(pause * (1 - _DRAWN * self._random.random()))
             pause = min(2 * pause, LONGEST_PAUSE)
@@ -130,7 +139,7 @@ class HostLink:
                 try:
                     await self._compare()
                     await self._end_lost()
-                    was, self.problem = self.problem, None
+                    was, self.problem, self._since = self.problem, None, time.time()
                     if self._tried.is_set():
                         self._on_change(f"host {self.host.name} is reached again (before: {was})")
                     self._tried.set()

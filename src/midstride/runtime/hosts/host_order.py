@@ -56,7 +56,7 @@ class HostOrder(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class HostReport(msgspec.Struct, frozen=True, kw_only=True):
-    """How the host process was found or started. ``problem``: why there is none, and what to do.
+    """The host process as it was found or started. ``problem``: why there is none, and what to do.
 
     ``lingers``: processes of the user outlive the last login, None where that is not known; ``kills``: logind kills
     those of a session that ends. ``range``: the discovery range that is set there. ``time_ns``: the system clock

@@ -1,8 +1,8 @@
 """The host process: serves the back end of its host to the manager of one system, over a Unix socket.
 
-It belongs to no login and to no connection: components go on without it, without the manager, and without the network
-between the two. Exits that happen while no manager is connected are kept for the next connection. It ends once it
-watches no component and no manager has been connected for a while.
+It belongs to no login and to no connection: components keep running without it, without the manager, and without the
+network between the two. Exits that happen while no manager is connected are kept for the next connection. It ends once
+it watches no component and no manager has been connected for a while.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ class HostService:
             frame = frames.decode_from_manager(line)
             if not isinstance(frame, frames.CallFrame) or not isinstance(frame.call, allowed):
                 raise ProtocolError("not a call, or one that the client may not make")
-            task = asyncio.get_running_loop().create_task(self._answer(client, frame))  # it goes on without the link
+            task = asyncio.get_running_loop().create_task(self._answer(client, frame))  # it continues without the link
             tasks.add(task)
             task.add_done_callback(tasks.discard)
 

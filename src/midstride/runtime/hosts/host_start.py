@@ -1,8 +1,8 @@
 """The work of `midstride host`, which is called over SSH: find or start the host process, and describe it.
 
-The host process is started in a session of its own, with nothing of the login's terminal: it goes on when the
-connection ends. Its workspace is below the folder of the host's declaration, by default the home directory: not in a
-run-time folder, which the end of the last login removes.
+The host process is started in a session of its own, with nothing of the login's terminal: it keeps running
+when the connection ends. Its workspace is below the folder of the host's declaration, by default the home
+directory: not in a run-time folder, which the end of the last login removes.
 """
 
 from __future__ import annotations

@@ -30,6 +30,7 @@ from midstride.runtime.backend_protocol import (
     Endpoints,
     Exited,
     Handle,
+    HostLinkState,
     Launch,
     OtherNodes,
     RemainingProcess,
@@ -204,6 +205,9 @@ class HostsBackend(Backend):
     def problems(self) -> dict[str, str]:
         """By host that cannot be reached now: why, and what to do."""
         return {name: link.problem for name, link in sorted(self._links.items()) if link.problem is not None}
+
+    def host_links(self) -> list[HostLinkState]:
+        return [link.shown for _, link in sorted(self._links.items())]
 
     def _link_of(self, instance: str) -> HostLink | None:
         host = self._host_of.get(instance)

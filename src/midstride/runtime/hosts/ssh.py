@@ -88,7 +88,7 @@ _MESSAGES: Final = (
     ),
     (
         r"Permission denied|Too many authentication failures",
-        "`ssh {to}` is not let in without a question (permission denied): install your key there (`ssh-copy-id {to}`), "
+        "`ssh {to}` cannot log in without a question (permission denied): install your key there (`ssh-copy-id {to}`), "
         "and load it (`ssh-add`) where it has a passphrase",
     ),
     (
@@ -142,7 +142,7 @@ def refuses_forwarding(errors: str) -> bool:
 
 
 def forwarding_refused() -> str:
-    """Why the socket of a host process that listens cannot be reached through SSH, with what to do."""
+    """The reason why the socket of a host process that listens cannot be reached through SSH, with what to do."""
     return (
         "its SSH server does not forward Unix sockets: set `AllowStreamLocalForwarding yes` in /etc/ssh/sshd_config "
         "there, where `DisableForwarding` must not be set, and reload it (`systemctl reload ssh`)"

@@ -97,11 +97,11 @@ class SshConnection:
         raise HostFault("its login prints too much before `midstride host` answers")
 
     def why_ended(self, status: int | None) -> str:
-        """Why the connection ended, and what to do."""
+        """The reason why the connection ended, and what to do."""
         return ssh.meaning(self.host, status, self.errors)
 
     def why_not_forwarded(self) -> str:
-        """Why the forwarded socket was closed before the host process greeted."""
+        """The reason why the forwarded socket was closed before the host process greeted."""
         if ssh.refuses_forwarding(self.errors):
             return ssh.forwarding_refused()
         return "its host process ended as it was connected to"
@@ -141,7 +141,7 @@ class SshConnection:
         return self.why_ended(status)
 
     async def close(self) -> None:
-        """End the connection; the host process goes on."""
+        """End the connection; the host process keeps running."""
         process, self._process = self._process, None
         if process is not None and process.returncode is None:
             with contextlib.suppress(ProcessLookupError):

@@ -1,4 +1,4 @@
-"""Which instance of a role answers requests to its node's services: the manager's part.
+"""The instance of a role that answers requests to its node's services: the manager's part.
 
 The components do it among themselves (:mod:`midstride.node.control.service_answering`); the manager says when.
 """

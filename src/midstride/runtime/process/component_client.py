@@ -84,7 +84,7 @@ class ComponentClient:
         self.life = LifeTable(self.clock)
 
     def address(self, instance: str) -> str:
-        """Where the component listens, for its peer of a hand-over."""
+        """The address at which the component listens, for its peer of a hand-over."""
         return self.transport.address(instance)
 
     async def share_locks(self, instance: str, other: str) -> bool:

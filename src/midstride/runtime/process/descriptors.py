@@ -1,4 +1,4 @@
-"""How many files a manager may have open: more than the user's soft limit, which what it starts keeps.
+"""The number of files that a manager may have open: more than the user's soft limit, which what it starts keeps.
 
 A manager has two open for each component, and the usual soft limit is 1024. That is meant for programs that use
 select(), which fails beyond it: whether those that a manager starts do so is not known.

@@ -1,4 +1,4 @@
-"""Which processes belong to a component: those of its group, what they have started, and orphans that bear its mark.
+"""The processes that belong to a component: its group, what they have started, and orphans that bear its mark.
 
 A program may start others in new sessions, as `setsid` and daemons do, which no signal to its process group
 reaches. Two things show that such a process belongs to it: a chain of parents, and a word in its environment that is

@@ -51,7 +51,7 @@ RELEASE_TIMEOUT: Final = 5.0
 
 
 def stop_times(component: ComponentSpec, asked: float = 0.0) -> StopTimes:
-    """How the process of a ``component`` is ended.
+    """The times for ending the process of a ``component``.
 
     One with Midstride's API ends in order on SIGTERM, and says how long that may take (``asked``, s). Any other program
     is ended as ROS's own `launch` does. A relay does that with the program behind it.

@@ -1,4 +1,4 @@
-"""How the process of an instance is started, as a value that a back end carries out, or only describes."""
+"""The start of an instance's process, as a value that a back end carries out, or only describes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def launch_of(
     predecessor: str = "",
     returns: bool = False,
 ) -> Launch:
-    """How ``instance``, whose component has a `run` command, is started on ``backend``.
+    """The start of ``instance``, whose component has a `run` command, on ``backend``.
 
     The other arguments are those of :meth:`.launcher.Launcher.start`. Raises StartFailed for what that platform lacks,
     and for a command that cannot be split.

@@ -1,4 +1,4 @@
-"""Where each run begins in a log: processes of one name, one after the other, append to one file."""
+"""The place where each run begins in a log: processes of one name, one after the other, append to one file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def begin_run(log: Path, instance: str) -> None:
 
 
 def run_begun(line: str) -> str | None:
-    """When a run began (local time), for the line before it; None for any other line."""
+    """The time at which a run began (local time), for the line before it; None for any other line."""
     found = _BEGIN.fullmatch(line)
     return None if found is None else found["at"]
 

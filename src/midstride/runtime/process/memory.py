@@ -1,4 +1,4 @@
-"""How much memory a process has, and how much is left for another one (Linux)."""
+"""The memory that a process has, and how much is left for another one (Linux)."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class PendingStarts:
             self._last_registration = self._backend.clock.steady()
 
     def count(self) -> int:
-        """How many processes that are to register have been started, and have neither done so nor exited."""
+        """The number of processes that have been started, are to register, and have neither done so nor exited."""
         registering = ((name, each) for name, each in self._starting.items() if name not in self._to_end)
         waiting = (name for name, each in registering if not (each.done() or self._exits[name].done()))
         return len({self._processes[name] for name in waiting})

@@ -1,13 +1,17 @@
-"""Which hosts a back end can start processes on."""
+"""The hosts on which a back end can start processes."""
 
 from __future__ import annotations
 
+from midstride.errors import PlanRefused
+from midstride.model.action import Create
+from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
+from midstride.plan.plan import Plan
 from midstride.runtime.backend_protocol import Backend
 
 
 def out_of_reach(backend: Backend, specification: Specification) -> str | None:
-    """Why nothing of a specification is started: its nodes on other hosts, where the back end reaches none."""
+    """The reason why nothing of a specification is started: its nodes on hosts that the back end does not reach."""
     elsewhere = {role: node.host for role, node in sorted(specification.nodes.items()) if node.host}
     if backend.reaches_hosts or not elsewhere:
         return None
@@ -15,3 +19,20 @@ def out_of_reach(backend: Backend, specification: Specification) -> str | None:
     return (
         f"the back end {backend.name} starts processes on the host of the manager alone, so nothing is started: {nodes}"
     )
+
+
+def require_reached(backend: Backend, plan: Plan, configuration: Configuration) -> None:
+    """Raises PlanRefused where a step of ``plan`` changes an instance on a host that cannot be reached now.
+
+    Nothing is known of that instance, so the change could be neither carried out nor rolled back.
+    """
+    lost = {each.host: each.problem for each in backend.host_links() if each.problem is not None}
+    if not lost:
+        return
+    actions = [step.action for step in plan.steps]
+    created = {action.instance.name: action.instance for action in actions if isinstance(action, Create)}
+    instances = {**configuration.instances, **created}
+    for action in actions:
+        for name in action.instances():
+            if name in instances and (host := instances[name].host) in lost:
+                raise PlanRefused(f"{name} cannot be changed now: host {host} cannot be reached: {lost[host]}")

@@ -252,7 +252,7 @@ def _settings(plan: str | None) -> tuple[tuple[str, Values], ...]:
 
 
 def estimates(database: Database, backend: str) -> dict[str, Estimate]:
-    """How long each kind of step takes."""
+    """The time that each kind of step takes."""
     found: dict[str, list[float]] = {}
     query = "SELECT step, seconds FROM durations WHERE backend = ? ORDER BY number DESC"
     for step, seconds in database.read(query, backend):

@@ -215,7 +215,7 @@ def _slots(rows: Sequence[Receipt], by_side: _Publishers, period: float, ended: 
 
 
 def _overlap(sides: Sequence[Sequence[Receipt]], resumed: bool) -> int:
-    """How many messages of the first publisher were published after the first one of another.
+    """The number of messages of the first publisher that were published after the first one of another.
 
     If it ``resumed``, those after the last one of the other are no duplicates.
     """

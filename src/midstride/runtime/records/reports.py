@@ -79,7 +79,7 @@ class FencedInstance(Report, frozen=True, kw_only=True):
 
 
 class StepTime(Report, frozen=True):
-    """How long a step took, and when it began after the first one, in seconds. Steps that overlap are in one round."""
+    """The duration of a step, and its begin after the first one, in seconds. Steps that overlap are in one round."""
 
     step: Annotated[int, Meta(description="its number in the plan, from 1")]
     began: float

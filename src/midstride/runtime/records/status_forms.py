@@ -17,7 +17,7 @@ from midstride.verdicts.conditions import SystemCondition
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
 UnixTime: TypeAlias = Annotated[float, Meta(description="seconds since 1970")]
 SilenceKind: TypeAlias = Literal[
-    "not_answering", "not_discovering", "not_publishing", "not_receiving", "not_responding"
+    "unreachable", "not_answering", "not_discovering", "not_publishing", "not_receiving", "not_responding"
 ]
 
 
@@ -41,6 +41,22 @@ class Service(Report, frozen=True):
     pid: int
     phase: Phase
     protocol: Annotated[int, Meta(description="the version of the control protocol; 0: of one that does not say")] = 0
+
+
+class HostStatus(Report, frozen=True, kw_only=True):
+    """The link to another host than the manager's, where the manager has started nodes, or may.
+
+    While it is down, nothing is known of the nodes there, and nothing is started elsewhere. The manager connects again
+    by itself.
+    """
+
+    name: str
+    destination: Annotated[str, Meta(description="as `ssh` takes it")]
+    connected: bool
+    since: Annotated[UnixTime, Meta(description="from when on that has been so")]
+    because: Annotated[str | None, Meta(description="why it cannot be reached, and what to do; null: it is connected")]
+    version: Annotated[str, Meta(description="of Midstride there; empty: not known")]
+    instances: Annotated[list[str], Meta(description="that run there, as far as is known")]
 
 
 class FunctionalityStatus(Report, frozen=True, kw_only=True):
@@ -183,6 +199,7 @@ class InstanceStatus(Report, frozen=True, kw_only=True):
     node: Annotated[str | None, Meta(description="the full name of its ROS node; null where there is none")]
     pid: int | None
     reachable: Annotated[bool, Meta(description="it has reported its state in the last 2 s")]
+    unreachable: Annotated[bool, Meta(description="its host cannot be reached: whether it runs is not known")] = False
     answers: Annotated[bool, Meta(description="it answers requests to its node's services")]
     ending: Annotated[bool, Meta(description="it has been asked to end")]
     done: Annotated[bool, Meta(description="its program has ended as it should (`once`)")] = False
@@ -295,7 +312,7 @@ class ChangeLock(Report, frozen=True, kw_only=True):
 
     @property
     def words(self) -> str:
-        """Who has locked the system, until when, and why."""
+        """The holder of the lock, until when, and why."""
         end = "until it is unlocked" if self.until is None else f"until {time_of(self.until)}"
         return f"the system is locked by {self.by} since {time_of(self.since)}, {end}: {self.reason}"
 
@@ -366,10 +383,11 @@ class Status(Report, frozen=True, kw_only=True):
     changed_since: Annotated[bool, Meta(description="another command has changed the specification since then")]
     middleware: Middleware
     spares: SpareStatus
+    hosts: Annotated[list[HostStatus], Meta(description="other than the manager's")] = []
 
 
 class Why(Report, frozen=True, kw_only=True):
-    """Why a functionality of a node is in its mode: its own reason, what each better mode lacks, and what to do."""
+    """The reason why a functionality of a node is in its mode: its own, what each better mode lacks, and what to do."""
 
     functionality: str
     instance: Annotated[str, Meta(description="of the node: the one that was looked at")]

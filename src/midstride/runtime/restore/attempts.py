@@ -1,4 +1,4 @@
-"""How often something has been tried again, which a policy limits (docs/protocols/faults.md)."""
+"""The number of attempts so far, which a policy limits (docs/protocols/faults.md)."""
 
 from __future__ import annotations
 

@@ -120,7 +120,7 @@ async def recover(
 
 
 def _of_earlier_version(client: ComponentClient, name: str) -> str:
-    """How the version of the control protocol of the component differs, if it does."""
+    """The difference between the component's version of the control protocol and this one, if there is one."""
     spoken = client.protocol(name)
     if spoken == PROTOCOL:
         return ""

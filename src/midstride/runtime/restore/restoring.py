@@ -61,7 +61,7 @@ class _Record:
     seen: float = 0.0
 
     def due(self) -> float | None:
-        """When it is to be restored, if what it relies on stays (steady s)."""
+        """The time at which it is to be restored, if what it relies on stays (steady s)."""
         if not self.fallen or self.left is not None or self.supported_since is None:
             return None
         return self.supported_since + (0.0 if self.conditional else POLICY.delay_before(self.number))
@@ -159,7 +159,7 @@ class Restorer(ReconciliationObserver):
 
     @property
     def _held_back(self) -> str | None:
-        """Why nothing may be restored now, if so."""
+        """The reason why nothing may be restored now, if there is one."""
         return self.session.permission.refusal(recovery=True)
 
     def _count(self, ref: FunctionalityRef, record: _Record, failed: str = "") -> None:

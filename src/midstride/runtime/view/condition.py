@@ -32,7 +32,12 @@ def condition(
     gone = {each.role: each for each in crashed if each.role is not None}
     faults = [conditions.is_missing(each.role or each.name, each.words) for each in crashed if each.role not in best]
     faults += [conditions.does_not_run(role) for role in specification.roles() if role not in best and role not in gone]
-    faults += [assessment.silence_in_words(fault.words, fault.seconds or None) for fault in silences]
+    faults += _lost_hosts(watched, silences)
+    faults += [
+        assessment.silence_in_words(fault.words, fault.seconds or None)
+        for fault in silences
+        if fault.kind != "unreachable"
+    ]
     faults += [words for role in sorted(best) for words in best[role][1]]
     faults += [words for role in sorted(best) if (words := watched.respawner.crash_loop(role)) is not None]
     faults += watched.backend.hanging()
@@ -66,6 +71,17 @@ def unmeasured_bounds(system: RunningSystem, instance: str) -> Iterator[str]:
             yield unmeasured.bound_not_known(str(port), name, "nothing counts requests (`gate none`)")
         elif state.simulated_time:
             yield unmeasured.bound_not_known(str(port), name, "nothing that measures rates follows `/clock`")
+
+
+def _lost_hosts(watched: WatchedSystem, silences: Sequence[SilenceFault]) -> Iterator[str]:
+    """Yield one fault for each host with unreachable nodes: of many nodes, the reason is the same."""
+    instances = watched.system.configuration.instances
+    by_host: dict[str, list[str]] = {}
+    for each in silences:
+        if each.kind == "unreachable" and each.instance in instances:
+            by_host.setdefault(instances[each.instance].host, []).append(each.instance)
+    for host, names in sorted(by_host.items()):
+        yield conditions.cannot_be_reached(host, names)
 
 
 def _faults(watched: WatchedSystem, instance: InstanceStatus) -> Iterator[str]:

@@ -34,7 +34,7 @@ class _Base(NamedTuple):
 
 
 def module_folders(environment: Mapping[str, str | None], prefix: str | None = None) -> list[str]:
-    """Where Python finds modules besides its own: PYTHONPATH, and what is installed below ``prefix``."""
+    """The folders where Python finds modules besides its own: PYTHONPATH, and what is installed below ``prefix``."""
     stated = [path for path in (environment.get("PYTHONPATH") or "").split(os.pathsep) if path]
     below = [] if prefix is None else [each for name in _INSTALLED for each in glob.glob(os.path.join(prefix, name))]
     return [*stated, *sorted(below)]

@@ -104,6 +104,7 @@ def instance_status(
     handle = watched.system.life[instance.name].handle
     others = watched.system.other_nodes.get(instance.name, _NO_OTHERS)
     process = state or handle
+    lost = state is None and watched.monitor.is_unreachable(instance.name, configuration)
     reported = now if latest is None else now - (watched.clock.steady() - latest.at)
     modes = list(_functionalities(watched, configuration, shape, state, reported, shown, exact))
     return InstanceStatus(
@@ -117,6 +118,7 @@ def instance_status(
         node=None if state is None else state.node,
         pid=None if process is None else process.pid,
         reachable=state is not None,
+        unreachable=lost,
         answers=state is not None and state.answers,
         ending=watched.system.life.is_ending(instance.name),
         done=watched.system.life.is_done(instance.name),
@@ -128,7 +130,7 @@ def instance_status(
             OtherNodeStatus(each.name, [*each.publishes], [*each.serves], each.namesake) for each in others.nodes
         ],
         other_nodes_unknown=others.unknown,
-        deviation="; ".join(_deviations(instance, state, modes, ports, baseline)) or None,
+        deviation="; ".join(_deviations(instance, state, modes, ports, baseline, lost=lost)) or None,
         simulated_time=state is not None and state.simulated_time,
         run=instance.component.run,
         log_file=None if handle is None else handle.log_file,
@@ -217,7 +219,7 @@ def _functionalities(
 
 
 def _since(found: FunctionalityState, reported: float, before: FunctionalityStatus | None) -> float:
-    """When the mode began: the same as before while it lasts, although each report was on its way for another time."""
+    """The begin of the mode: the same as before while it lasts, although the delays of reports differ."""
     began = reported - found.since
     known = before.since if before is not None and before.mode == found.mode else None
     return known if known is not None and abs(began - known) <= SAME_MODE else round(began, 3)
@@ -296,11 +298,13 @@ def _deviations(
     functionalities: list[FunctionalityStatus],
     ports: list[PortStatus],
     baseline: Baseline,
+    *,
+    lost: bool = False,
 ) -> Iterator[str]:
     """In which way an instance is not as specified."""
     specification, role = baseline.specification, instance.role
     if state is None and not instance.component.once:
-        yield "it does not answer"
+        yield f"its host {instance.host} cannot be reached" if lost else "it does not answer"
     elif state is not None and state.waiting is not None:
         yield f"it is waiting: {state.waiting}"
     if role not in specification.nodes:

@@ -1,4 +1,4 @@
-"""Which files the programs of components consist of, and which of them have changed on disk since they started.
+"""The files of the programs of components, and which of them have changed on disk since they started.
 
 Each component lists its files itself, since it alone knows what it has imported; so the next manager can ask again.
 The files that ``run`` names are added here, and of a program without Midstride's API what these lead to

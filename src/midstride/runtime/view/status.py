@@ -15,6 +15,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime.records.status_forms import (
     CrashedInstance,
+    HostStatus,
     InstanceStatus,
     OtherEndpoints,
     ProgramStatus,
@@ -99,6 +100,7 @@ def system_values(watched: WatchedSystem) -> dict[str, Any]:
         "file": system.file,
         "changed_since": system.changed_since,
         "middleware": backend.middleware(),
+        "hosts": hosts(watched),
         "spares": SpareStatus(
             kept=watched.spares,
             ready=backend.spares(),
@@ -109,6 +111,23 @@ def system_values(watched: WatchedSystem) -> dict[str, Any]:
             ],
         ),
     }
+
+
+def hosts(watched: WatchedSystem) -> list[HostStatus]:
+    """The hosts other than the manager's, by name, and the link to each."""
+    instances = sorted(watched.system.configuration.instances.values(), key=lambda each: each.name)
+    return [
+        HostStatus(
+            name=link.host,
+            destination=link.destination,
+            connected=link.problem is None,
+            since=round(link.since, 3),
+            because=link.problem,
+            version=link.version,
+            instances=[each.name for each in instances if each.host == link.host],
+        )
+        for link in watched.backend.host_links()
+    ]
 
 
 def crashed(watched: WatchedSystem) -> list[CrashedInstance]:

@@ -1,4 +1,4 @@
-"""Why a functionality is in its mode, and what an operator can do about it."""
+"""The reason why a functionality is in its mode, and what an operator can do about it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Explainer:
         return self.watched.system
 
     def why(self, functionality: str) -> Why:
-        """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
+        """The reason for the mode of ``functionality`` (of a role or instance). Raises PlanRefused if unknown."""
         ref = self._find(functionality)
         configuration, evaluator = self.system.configuration, Evaluator(self.system.configuration)
         declared, state = configuration.functionality(ref), self.watched.client.life.responsive(ref.instance)
@@ -124,8 +124,16 @@ class Explainer:
         return configuration.modes[ref] > 0 or (found is not None and found.mode != best)
 
     def _stuck(self, ref: FunctionalityRef) -> list[str]:
-        """The remedies for an instance that hangs, or is silent where ``ref`` guarantees messages; else nothing."""
+        """The remedies for an instance that hangs, or is silent where ``ref`` guarantees messages; else nothing.
+
+        Of one on a host that cannot be reached, nothing is known, and a restart would not be possible.
+        """
         configuration = self.system.configuration
+        state = self.watched.client.life.responsive(ref.instance)
+        if state is None and self.watched.monitor.is_unreachable(ref.instance, configuration):
+            host = configuration.instances[ref.instance].host
+            because = next(each.problem for each in self.watched.backend.host_links() if each.host == host)
+            return [f"host {host} cannot be reached: {because}; the manager connects again by itself"]
         instance, functionality = configuration.instances[ref.instance], configuration.functionality(ref)
         ports = {*functionality.inputs, *functionality.outputs}
         silent = [
@@ -133,7 +141,6 @@ class Explainer:
             for fault in self.watched.monitor.faults(configuration)
             if fault.instance == ref.instance and (fault.port is None or PortRef.parse(fault.port).port in ports)
         ]
-        state = self.watched.client.life.responsive(ref.instance)
         found = None if state is None else state.functionalities.get(ref.functionality)
         if found is not None and found.busy is not None and found.busy >= LONG_CALL:
             silent.append(f"a call of its code has not returned for {seconds_in_words(found.busy)}")
@@ -174,7 +181,7 @@ class Explainer:
         ]
 
     def _missing(self, node: str) -> str | None:
-        """Why a role or an instance that has exited is missing, and what comes next; None for any other."""
+        """The reason why a role or an instance that has exited is missing, and what comes next; None for any other."""
         for name, exited in reversed(self.system.life.missing.items()):
             role = self.system.role_of_missing(name)
             if role is None or node not in (name, role) or self.system.has_instance(role):

@@ -1,4 +1,4 @@
-"""Notices a component whose middleware stands still: it discovers nothing new any more, although its data flows.
+"""Notices a component whose middleware has stopped discovering, although its data flows.
 
 Seen with Fast DDS, which can deadlock in a process whose peers come and go (eProsima/Fast-DDS#6502). Now and then, and
 after each command, the manager creates an endpoint, and each component says whether its own middleware shows it
@@ -111,7 +111,8 @@ class DiscoveryWatch:
         if all_at_once and not self._own:
             self.events.add(
                 "note",
-                "no component discovers what the manager creates: the manager's own middleware may stand still; end "
+                "no component discovers what the manager creates: the manager's own middleware may have stopped "
+                "discovering; end "
                 "its process, then run `midstride up` again",
             )
         self._own = all_at_once

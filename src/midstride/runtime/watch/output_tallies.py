@@ -126,7 +126,7 @@ class OutputTallies(ChangeObserver):
     def _passed(
         self, begun: _Begun, count: int, last_numbers: Mapping[PortRef, int | None], resumed: bool
     ) -> int | None:
-        """How many messages both sides have written since the change began; None where a part of that is not known.
+        """The number of messages that both sides have written since the change began; None where a part is not known.
 
         ``count``: what the side that writes in the end has written since it was attached last.
         """

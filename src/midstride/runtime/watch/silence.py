@@ -16,6 +16,7 @@ from typing import Final
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.backend_protocol import HostLinkState
 from midstride.runtime.instance_life import SILENCE, LifeTable
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.events import EventLog
@@ -33,6 +34,7 @@ REPORT_SKEW: Final = 1.0
 # How often the faults are looked for, for the events (s).
 CHECK_INTERVAL: Final = 1.0
 _ENDED: Final = {
+    "unreachable": "{0.instance} answers again",
     "not_answering": "{0.instance} answers again",
     "not_discovering": "{0.instance} discovers endpoints again",
     "not_publishing": "{0.port} publishes on {0.topic} again",
@@ -58,7 +60,7 @@ class _Link:
 
 @dataclass(frozen=True, slots=True)
 class _Report:
-    """When an instance last reported (steady s), and the topics and ports of its attachments then."""
+    """The time of an instance's last report (steady s), and the topics and ports of its attachments then."""
 
     at: float
     attached: Set[tuple[str, PortRef]]
@@ -69,10 +71,11 @@ class SilenceMonitor:
     life: LifeTable
     clock: Clock
     events: EventLog
-    # Those whose middleware stands still, and since when that is known (steady s).
+    # Those whose middleware has stopped discovering, and since when that is known (steady s).
     undiscovering: Mapping[str, float] = field(default_factory=dict)
     # Whether the process of an instance is stopped: an agent in the manager's process does not show that.
     is_stopped: Callable[[str], bool] = lambda _: False
+    host_links: Callable[[], Iterable[HostLinkState]] = tuple
     _links: dict[str, dict[PortRef, _Link]] = field(default_factory=dict)  # by topic
     _reports: dict[str, _Report] = field(default_factory=dict)  # the last one of each instance
     _known: dict[str, SilenceFault] = field(default_factory=dict)  # the faults of the last check
@@ -149,6 +152,11 @@ class SilenceMonitor:
         links = self._links.get(fault.topic or "", {}).items()
         return any(str(port) == fault.port and link.passed > self._judged for port, link in links)
 
+    def is_unreachable(self, instance: str, configuration: Configuration) -> bool:
+        """Return whether the host of an instance cannot be reached, so that nothing is known of the instance."""
+        host = configuration.instances[instance].host
+        return bool(host) and any(each.host == host and each.problem is not None for each in self.host_links())
+
     def faults(self, configuration: Configuration) -> list[SilenceFault]:
         """Every silence now, by instance and port."""
         return self._faults(configuration, PORT_SILENCE)
@@ -173,6 +181,10 @@ class SilenceMonitor:
             if self.life.is_done(instance):
                 return
             seconds = None if latest is None else round(self.clock.steady() - latest.at, 3)
+            if self.is_unreachable(instance, configuration):
+                words = f"{instance} is unreachable, with host {configuration.instances[instance].host}"
+                yield SilenceFault(kind="unreachable", instance=instance, seconds=seconds, words=words)
+                return
             words = f"{instance} does not answer"
             yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
             return
@@ -183,7 +195,7 @@ class SilenceMonitor:
             seconds = round(state.unanswered, 3)
             yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
         if (since := self.undiscovering.get(instance)) is not None:
-            words = f"{instance} discovers no new endpoints, although its data flows: its middleware stands still"
+            words = f"{instance} discovers no new endpoints, although its data flows: its middleware has hung"
             seconds = round(self.clock.steady() - since, 3)
             yield SilenceFault(kind="not_discovering", instance=instance, seconds=seconds, words=words)
         if not configuration.component(instance).counts_messages:

@@ -239,7 +239,7 @@ class Recording(ChangeObserver):
                 each.cancel()
 
     async def _published(self, resumed: bool) -> dict[_PortOnTopic, int]:
-        """How many messages the publishers at the end have published so far, where that is known.
+        """The number of messages that the publishers at the end have published so far, where that is known.
 
         By the old publisher and its topic.
         """

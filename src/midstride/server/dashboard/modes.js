@@ -44,7 +44,7 @@ function worst(looks) {
 }
 
 /**
- * The look of a component: "gone" if it has crashed or does not answer, "done" if its program has ended as it should,
+ * The look of a component: "gone" if it has crashed, does not answer or its host cannot be reached, "done" if its program has ended as it should,
  * else that of its worst functionality.
  *
  * @param {Component} component
@@ -55,7 +55,9 @@ export function componentLook(component, view) {
   if (view.crashed.some((each) => each.name === component.name)) {
     return { kind: "gone", glyph: GLYPHS.gone, words: "crashed" };
   }
-  if (!component.reachable && !component.done) return { kind: "gone", glyph: GLYPHS.gone, words: "does not answer" };
+  if (!component.reachable && !component.done) {
+    return { kind: "gone", glyph: GLYPHS.gone, words: component.unreachable ? `host ${component.host} cannot be reached` : "does not answer" };
+  }
   if (component.done) return { kind: "normal", glyph: "✓", words: "done" };
   return worst(component.functionalities.map(look));
 }

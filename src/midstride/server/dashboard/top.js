@@ -56,7 +56,7 @@ export function mountTop(element, context) {
   replace(part("#tools"), ...tools(context));
   draw();
   drawConnection();
-  store.subscribe(["instances", "crashed", "topics", "condition", "violations", "phase", "running", "lock", "requirements", "system", "time"], draw);
+  store.subscribe(["instances", "crashed", "topics", "condition", "violations", "phase", "running", "lock", "requirements", "hosts", "system", "time"], draw);
   store.subscribe(["connection", "time", "instances"], drawConnection);
   setInterval(drawConnection, 1000);
   element.dataset.ready = "true";
@@ -70,7 +70,7 @@ function summaryOf(view) {
   const components = Object.values(view.instances);
   const kinds = components.map((each) => componentLook(each, view).kind);
   const lowered = kinds.filter((kind) => kind === "reduced" || kind === "degraded").length;
-  const silent = components.filter((each) => !each.reachable && !each.done).length;
+  const silent = components.filter((each) => !each.reachable && !each.unreachable && !each.done).length;
   const low = components.flatMap((each) => each.ports).filter((port) => port.met === false).length;
   const connectors = Object.values(view.topics);
   const services = connectors.filter(({ type }) => kindOf(type) !== "topic").length;
@@ -93,6 +93,10 @@ function summaryOf(view) {
     found.splice(1, 0, condition.state === "down" ? { kind: "bad", words: "✕ down" } : { kind: "warn", words: "▲ degraded" });
   }
   if (view.phase !== "up") found.push({ kind: "warn", words: view.phase });
+  for (const host of view.hosts ?? []) {
+    const nodes = plural(host.instances.length, "component");
+    if (!host.connected) found.push({ kind: "bad", words: `✕ host ${host.name} unreachable since ${clock(host.since)} (${nodes}): ${host.because}` });
+  }
   const { lock } = view;
   if (lock) found.push({ kind: "bad", words: `⚿ locked by ${lock.by}: ${lock.reason}` });
   for (const each of view.requirements ?? []) {

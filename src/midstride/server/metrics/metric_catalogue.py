@@ -194,7 +194,7 @@ SILENCES: Final = Metric(
     "midstride_silences",
     "gauge",
     ("kind",),
-    "Silences that last: not_answering, not_discovering, not_publishing, not_receiving, not_responding.",
+    "Silences that last: unreachable, not_answering, not_discovering, not_publishing, not_receiving, not_responding.",
     _NOT_UP,
 )
 CHANGES: Final = Metric(

@@ -147,8 +147,7 @@ class LiveView:
 
     def _look(self) -> None:
         """Find what no report shows."""
-        life = self._watched.system.life
-        silent = {name for name, each in self._shown.items() if each.reachable != (life.responsive(name) is not None)}
+        silent = {name for name, each in self._shown.items() if self._differs(each)}
         others, self._others = self._others, self._watched.system.other_nodes
         moved = {name for name in self._shown if others.get(name) != self._others.get(name)}
         if silent or moved or self._wakers:
@@ -156,6 +155,14 @@ class LiveView:
             self._silences = None
             self.refresh(measurements=bool(self._wakers))
         self._looking.at(self._watched.clock.steady() + LOOK)
+
+    def _differs(self, shown: InstanceStatus) -> bool:
+        """Return whether it is now otherwise whether an instance answers, or its host can be reached."""
+        silent = self._watched.system.life.responsive(shown.name) is None
+        configuration = self._watched.system.configuration
+        lost = silent and shown.name in configuration.instances
+        lost = lost and self._watched.monitor.is_unreachable(shown.name, configuration)
+        return (shown.reachable, shown.unreachable) != (not silent, lost)
 
     # -- the view ------------------------------------------------------------------------------------
 

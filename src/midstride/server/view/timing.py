@@ -1,4 +1,4 @@
-"""When the live view is built, and the alarms by which it is."""
+"""The moments at which the live view is built, and the alarms that cause it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOOK: Final = 1.0
 
 
 def measurements_interval(components: int) -> float:
-    """How often measurements are refreshed in a system of so many components (s)."""
+    """The interval at which measurements are refreshed in a system of so many components (s)."""
     return max(MEASURED_EVERY, components / REFRESHED)
 
 

@@ -14,6 +14,7 @@ from midstride.runtime.records.reports import Event, OutcomeKind
 from midstride.runtime.records.status_forms import (
     ChangeLock,
     CrashedInstance,
+    HostStatus,
     InstanceStatus,
     Middleware,
     Phase,
@@ -104,6 +105,7 @@ class Patch(Report, frozen=True, kw_only=True):
     changed_since: bool | UnsetType = UNSET
     middleware: Middleware | UnsetType = UNSET
     spares: SpareStatus | UnsetType = UNSET
+    hosts: list[HostStatus] | UnsetType = UNSET
     change: ChangeView | UnsetType | None = UNSET
 
 

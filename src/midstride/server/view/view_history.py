@@ -87,7 +87,7 @@ def _apply(parts: dict[PartKey, bytes], record: _Record) -> None:
 
 
 class ModeHistory:
-    """When each functionality was in which mode, as the views of its component show it."""
+    """The history of each functionality's modes, as the views of its component show it."""
 
     def __init__(self, limit: int = INTERVALS) -> None:
         self._open: dict[str, dict[str, ModeInterval]] = {}  # by instance and functionality

@@ -305,7 +305,7 @@ class Ros2Host:
             parameters=self._context.parameters,
             set_parameters=self._context.set_parameters,
             failed=lambda raised: self.logger.error(
-                f"a callback raised, and the component goes on without it:\n{raised}"
+                f"a callback raised; the component keeps running without it:\n{raised}"
             ),
         )
         self.ros_node: Any = nodes.data
@@ -331,4 +331,4 @@ class Ros2Host:
             return
         self._clock_changes.unregister()
         if not self._nodes.leave():
-            self.logger.error("user code has not returned; the process leaves without it")
+            self.logger.error("user code has not returned; exiting without waiting for it")

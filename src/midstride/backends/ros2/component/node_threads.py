@@ -206,7 +206,7 @@ class ComponentNodes:
         )
 
     def leave(self) -> bool:
-        """Leave ROS; False where user code does not return, and the process has to leave without it."""
+        """Leave ROS; False where user code does not return, so that the process exits without waiting for it."""
         # Threads first, then the nodes, then ROS: any other order aborts the process.
         control_left = self._control_thread.stop(_JOIN)
         data_left = self._data_thread.stop(_JOIN)

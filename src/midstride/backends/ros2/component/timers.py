@@ -98,7 +98,7 @@ class Ros2GridTimer:
         return self._next()
 
     def _next(self) -> int:
-        """When rcl will call next; in the past where that is overdue."""
+        """The time of rcl's next call; in the past if that is overdue."""
         for _ in range(_ATTEMPTS):
             now = self._now()
             remaining = self._timer.time_until_next_call()

@@ -210,7 +210,7 @@ class ContainerBackend(ProcessBackend):
                 except BackendError as error:
                     if pause == _AGAIN:  # once
                         again = f"{shared.name} is asked again until it has unloaded it"
-                        log.warning("%s is in it, and is to go: %s; %s", record.node, error, again)
+                        log.warning("%s is in it, and is being removed: %s; %s", record.node, error, again)
                     await asyncio.sleep(pause)
                     pause = min(2 * pause, _LONGEST_PAUSE)
         except BackendError as error:  # it cannot be asked any more
@@ -332,7 +332,7 @@ class ContainerBackend(ProcessBackend):
         return []
 
     async def _require_answer(self, shared: SharedProcess, instance: str, longest: float) -> None:
-        """Raises BackendError where a process that is to go on does not answer: before anything of its node ends."""
+        """Raises BackendError, before anything of its node ends, where a process that is to stay does not answer."""
         if not shared.members - {instance} or instance in {*shared.unanswered, *shared.unloads}:
             return
         services = ContainerServices(self._node, full_name(shared.name))
@@ -346,7 +346,7 @@ class ContainerBackend(ProcessBackend):
                 services.close()
 
     async def _unload(self, shared: SharedProcess, instance: str, longest: float, *, whole: bool = False) -> None:
-        """End one instance of a process that goes on. Raises BackendError: it goes on, too; EndUnknown: it may.
+        """End one instance of a process that stays. Raises BackendError where it keeps running, EndUnknown if it may.
 
         Where the ``whole`` process is to end, one that it does not unload ends with the last of the others instead, and
         nothing is asked of a container that has not answered such a request.

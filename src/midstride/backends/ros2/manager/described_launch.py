@@ -97,7 +97,7 @@ class DescribedLaunch:
         }
 
     def _stop(self, action: Any) -> Iterator[tuple[str, float]]:
-        """How long it may take to end, by the signal that then comes (s), where that is not launch's default."""
+        """The longest time until it ends by the signal that then comes (s), where that is not launch's default."""
         for name in ("sigterm", "sigkill"):
             try:
                 seconds = float(self.text(getattr(action, f"_ExecuteLocal__{name}_timeout")))

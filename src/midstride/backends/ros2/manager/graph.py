@@ -292,7 +292,7 @@ class Graph:
         return [topic for topic, _ in listed]
 
     def lingering_readers(self, topic: str) -> int:
-        """How many subscriptions of dead processes the graph still shows on ``topic``."""
+        """The number of subscriptions of dead processes that the graph still shows on ``topic``."""
         return sum(not self._lives(info, name) for info, name in self._named(self._subscriptions(topic)))
 
     def publisher_ids(self, topic: str, instance: str) -> frozenset[str] | None:
@@ -320,7 +320,7 @@ class Graph:
         return [name for info, name in named if self._lives(info, name)]
 
     def _process(self, info: Any) -> bytes | str:
-        """Which process an endpoint belongs to; where that is unknown, the name of its node."""
+        """The process to which an endpoint belongs; the name of its node if that is unknown."""
         return self.rmw.process_of(info) or _node(info)
 
     def _name(self, info: Any, instances: _Instances) -> str:

@@ -1,4 +1,4 @@
-"""Which program has a node of the graph, in words: one of a Midstride system, or another one of this computer.
+"""The program that has a node of the graph, in words: one of a Midstride system, or another one of this computer.
 
 Fast DDS names the process of an endpoint; of any middleware, the control node of a component names its system.
 """

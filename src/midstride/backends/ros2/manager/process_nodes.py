@@ -126,7 +126,7 @@ def _is_unlisted(asked: AskedProcess) -> bool:
 
 
 def _unknown(asked: AskedProcess, rmw: RmwImplementation, processes: int) -> str | None:
-    """Why some nodes of a program without Midstride's API may not be known; None where they are."""
+    """The reason why some nodes of a program without Midstride's API may not be known; None where they are."""
     if not _is_unlisted(asked) or rmw.fast_dds:
         return None
     if rmw.participant is None:

@@ -1,4 +1,4 @@
-"""How long the servers of running nodes with a preloaded library take to answer, for `midstride capture`."""
+"""The times that servers of running nodes with a preloaded library take to answer, for `midstride capture`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When running nodes with a preloaded library publish, for `midstride capture`: without a subscription.
+"""The moments at which running nodes with a preloaded library publish, for `midstride capture`: without a subscription.
 
 The library counts in their processes, also what goes to subscriptions of the same process by intra-process
 communication. A subscription would have such a publisher serialize each message.
@@ -109,7 +109,7 @@ class SeenWrites:
         return not output.lost and (bool(output.port.matched) or self._now() - output.since < SILENT)
 
     def times(self, node: str, topic: str) -> list[float] | None:
-        """When a ROS node has published on ``topic`` (s, of one clock); None where the library does not see that."""
+        """The publication times of a ROS node on ``topic`` (s, of one clock); None where the library sees none."""
         output = self._find(node, topic)
         return output.times if output is not None and output.counts else None
 
