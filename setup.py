@@ -63,7 +63,7 @@ setup(
     name="midstride",
     version=ET.parse(os.path.join(ROOT, "package.xml")).findtext("version"),
     description="Replace the components of a running ROS system, with the least functionality lost on the way",
-    license="Apache-2.0",
+    license="Apache-2.0 AND EPL-2.0",
     distclass=ThisFileAlone,
     cmdclass={"build_py": ExamplesAsData},
     python_requires=">=3.10",

@@ -31,11 +31,17 @@ def test_the_licences_of_vendored_files_are_in_the_metadata() -> None:
     vendored = sorted((ROOT / "src").rglob("vendor/*/LICENSE*"))
     assert len(vendored) == len(list((ROOT / "src").glob("**/vendor/*/"))) == 1
     releasing = (ROOT / "RELEASING.md").read_text(encoding="utf-8")
+    (expression,) = re.findall(r'^license = "(.+)"$', project, re.MULTILINE)
+    manifest = ET.parse(ROOT / "package.xml").findall("license")
+    assert " AND ".join(each.text or "" for each in manifest) == expression
+    assert all((ROOT / each.attrib["file"]).is_file() for each in manifest)
+    assert f'license="{expression}"' in (ROOT / "setup.py").read_text(encoding="utf-8")
     for licence in vendored:
         package = json.loads((licence.parent / "package.json").read_text(encoding="utf-8"))
         assert f'"{licence.relative_to(ROOT)}"' in project
         assert f"{package['name']} {package['version']}" in releasing
         assert package["license"] in releasing
+        assert set(package["license"].split(" OR ")) & set(expression.split(" AND "))
 
 
 def test_a_bill_of_materials_describes_midstride_and_what_it_has_vendored(tmp_path: Path) -> None:
