@@ -1,7 +1,7 @@
 """`midstride dev` on ROS 2: how long from a save to the first message of the new code, or to the reason on the screen.
 
 A bare rclpy subscriber records a talker that counts and hands its count on. Each save writes another version of it; it
-says its version in each message, and no number may be missing. Then faulty versions are saved, which are not let in.
+says its version in each message, and no number may be missing. Then faulty versions are saved, which are rejected.
 The folder is watched by a `midstride dev` as a user starts it.
 """
 

@@ -60,7 +60,7 @@ def run(kind: str, size: int, rate: float, seconds: float, env: dict[str, str]) 
             text=True,
         )
     try:
-        # A component lives on until it is told to end; its figures are one line.
+        # A component lives until it is asked to end; its figures are one line.
         figures: dict[str, Any] = {}
         for side, process in processes.items():
             stream = process.stdout

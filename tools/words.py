@@ -1,7 +1,7 @@
 """Checks words: ``python -m tools.words`` names each docstring and phrase that docs/style.md advises against.
 
-Docstrings of `src`: none opens with a word that leans on the name above it. `src`, `examples` and the pages for those
-who contribute: none of the phrases in PHRASES, each of which has what to write instead.
+Docstrings of `src`: none opens with a word that leans on the name above it. `src`, `docs`, `examples`, `ansible`,
+`benchmarks` and the pages beside them: none of the phrases in PHRASES, each of which has what to write instead.
 """
 
 from __future__ import annotations
@@ -70,10 +70,13 @@ def phrases(text: str) -> Iterator[str]:
 
 def files() -> Iterator[Path]:
     """The files whose phrases are checked."""
-    yield from (ROOT / f"{page}.md" for page in ("CONTRIBUTING", "HACKING", "RELEASING", "SECURITY"))
+    yield from sorted(ROOT.glob("*.md"))
     for folder, suffixes in (
         ("src", {".py", ".c", ".h", ".js", ".html"}),
+        ("docs", {".md"}),
         ("examples", {".md", ".py", ".stride"}),
+        ("ansible", {".md", ".py", ".yml"}),
+        ("benchmarks", {".py"}),
     ):
         for path in sorted((ROOT / folder).rglob("*")):
             if path.suffix in suffixes and "vendor" not in path.parts:

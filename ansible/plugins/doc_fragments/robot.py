@@ -62,7 +62,7 @@ options:
     default: false
   wait:
     description:
-      - How long a node that hangs, and is to go, may take to return from its code before it is fenced, in seconds.
+      - How long to wait for a hung node that is being replaced before its outputs are blocked, in seconds.
     type: float
     default: 5
   despite_lock:
