@@ -184,7 +184,7 @@ async def system(folder: Path, far: Far) -> AsyncIterator[tuple[HostsBackend, li
     backend = HostsBackend(Platform(folder), Workspace(folder / "home"), connect=far.near)
     await backend.open(exits.append)
     try:
-        await backend.reach_hosts({"arm": ARM}, "token", notes.append)
+        await backend.reach_hosts({"arm": ARM}, "token", notes.append, lambda: False)
         yield backend, exits, notes
     finally:
         await backend.close()
@@ -354,9 +354,18 @@ def test_the_next_manager_has_no_exits_of_the_one_before_and_another_system_is_r
         await until(lambda: first)
         await one.close()
         exits: list[Exited] = []
-        two = HostLink(ARM, ORDER, tmp_path, lambda: "token", exits.append, connect=far.near)
+        notes: list[str] = []
+        two = HostLink(ARM, ORDER, tmp_path, lambda: "token", exits.append, notes.append, connect=far.near)
         await two.open()
         assert two.problem is None and exits == []
+        assert two._writer is not None
+        two._writer.transport.abort()
+        await until(lambda: len(notes) == 2)  # the link was lost, and is back
+        assert exits == []
+        await two.call(calls.Start(launch=calls.LaunchForm.of(launch("c"))), calls.HandleForm)
+        far.platform.exit(Exited("c", 1))
+        await until(lambda: exits)
+        assert [each.instance for each in exits] == ["c"]
         await two.close()
         other = HostLink(ARM, ORDER, tmp_path, lambda: "another", exits.append, connect=far.near)
         await other.open()
@@ -367,6 +376,27 @@ def test_the_next_manager_has_no_exits_of_the_one_before_and_another_system_is_r
         await wrong.open()
         assert wrong.problem is not None and "its folder has the host process of home" in wrong.problem
         await wrong.close()
+        await far.kill()
+
+    run(body())
+
+
+def test_a_manager_that_another_one_has_superseded_does_not_take_its_link(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        superseded: list[bool] = []
+        token, exited = (lambda: "token"), (lambda _: None)
+        one = HostLink(ARM, ORDER, tmp_path, token, exited, superseded=lambda: bool(superseded), connect=far.near)
+        two = HostLink(ARM, ORDER, tmp_path, token, exited, connect=far.near)
+        await one.open()
+        superseded.append(True)
+        await two.open()  # which ends the connection of the first
+        await until(lambda: one.problem == "another manager of this system has taken over")
+        assert not one.connected
+        assert two.connected
+        await one.close()
+        await two.close()
         await far.kill()
 
     run(body())

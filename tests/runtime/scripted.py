@@ -346,7 +346,11 @@ class ScriptedBackend:
     async def close(self) -> None: ...
 
     async def reach_hosts(
-        self, hosts: Mapping[str, HostSpec], token: str, note: Callable[[str], object]
+        self,
+        hosts: Mapping[str, HostSpec],
+        token: str,
+        note: Callable[[str], object],
+        superseded: Callable[[], bool],
     ) -> Mapping[str, str]:
         return {}
 

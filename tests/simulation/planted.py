@@ -17,10 +17,14 @@ from midstride.node.author.client_ports import ClientPort
 from midstride.node.control import component_agent
 from midstride.node.control.component_end import ComponentEnd
 from midstride.node.control.service_answering import Answering
+from midstride.node.control.shortfall import Shortfall
 from midstride.node.handover import cut, cut_protocol, lease
 from midstride.node.request_admission import GoalTurn, RequestAdmission
 from midstride.runtime.change import executor, reconciler, roll_back
 from midstride.runtime.handover import live_handover
+from midstride.runtime.hosts import host_link
+from midstride.runtime.hosts.call_forms import ExitedForm
+from midstride.runtime.instance_life import LifeTable
 from midstride.runtime.process import component_client, launcher
 from midstride.runtime.records import state_store
 from midstride.runtime.records.disk import Database
@@ -358,6 +362,56 @@ def _cancelled_by_the_wrong_one(patch: pytest.MonkeyPatch) -> None:
     plant(patch, RequestAdmission, "goal_turn", whoever)
 
 
+def _lost_start_left(patch: pytest.MonkeyPatch) -> None:
+    """A link that is back leaves what may have been started as it broke, so that the node runs twice."""
+
+    async def end_lost(self: Any) -> None:
+        self.lost.clear()
+
+    plant(patch, host_link.HostLink, "_end_lost", end_lost)
+
+
+def _exits_repeated(patch: pytest.MonkeyPatch) -> None:
+    """A link that is back reports the exits of earlier managers' processes (the simulation has found this one)."""
+    greet = host_link.HostLink._greet
+
+    async def forgetful(self: Any, connection: Any, reader: Any, writer: Any) -> None:
+        await greet(self, connection, reader, writer)
+        if self._was != self._uuid:
+            self._seen = 0
+
+    plant(patch, host_link.HostLink, "_greet", forgetful)
+
+
+def _unreachable_taken_for_crashed(patch: pytest.MonkeyPatch) -> None:
+    """What runs on a host that cannot be reached counts as crashed."""
+    fail_calls = host_link.HostLink._fail_calls
+
+    def crashed(self: Any) -> None:
+        fail_calls(self)
+        for name in list(self.handles):
+            self._exited(ExitedForm(instance=name))
+
+    plant(patch, host_link.HostLink, "_fail_calls", crashed)
+
+
+def _left_on_host(patch: pytest.MonkeyPatch) -> None:
+    """What could not be ended while its host was out of reach is left (the simulation has found this one)."""
+    plant(patch, LifeTable, "left_on_hosts", lambda self, instances: [])
+
+
+def _link_of_superseded(patch: pytest.MonkeyPatch) -> None:
+    """A superseded manager goes on to connect to its hosts (the simulation has found this one)."""
+    patch.setattr(
+        host_link.HostLink, "_superseded", property(lambda self: lambda: False, lambda self, _: None), raising=False
+    )
+
+
+def _silence_not_noticed(patch: pytest.MonkeyPatch) -> None:
+    """A component does not notice that an input with a rate is silent."""
+    plant(patch, Shortfall, "exceeds", lambda self, periods, slow=True: False)
+
+
 # Each with words of the violation by which it is found.
 PLANTED: Final[dict[str, tuple[Plant, str]]] = {
     function.__name__.strip("_").replace("_", " "): (function, words)
@@ -366,6 +420,12 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_resumed_without_lock, "are both heard on"),
         (_written_without_lock, "is open on"),
         (_lease_not_checked, "are both heard on"),
+        (_lost_start_left, "without faults"),
+        (_exits_repeated, "is said to have exited, and runs"),
+        (_unreachable_taken_for_crashed, "is said to have exited, and runs"),
+        (_left_on_host, "without faults"),
+        (_link_of_superseded, "without faults"),
+        (_silence_not_noticed, "has not arrived for more than"),
         (_write_not_durable, "another manager of this system has taken over"),
         (_lease_forgotten, "a superseded manager starts"),
         (_superseded_goes_on, "a superseded manager sends"),

@@ -85,6 +85,7 @@ def test_the_outputs_of_two_instances_are_both_open_only_while_neither_guarantee
     component = built_in(random.Random(0)).specification.components["Lidar"]
     pair = publisher("talker", 1), publisher("talker_2", 2)
     for process, mode in zip(pair, modes, strict=True):
+        process.host = ""
         process._stand_in = SimpleNamespace(component=component)
         process._published = SimpleNamespace(functionalities={"scan": SimpleNamespace(mode=mode)})
         process.open_outputs = lambda: {("out", "/chatter")}

@@ -120,7 +120,7 @@ async def _stop(backend: Backend, saved: SavedState) -> tuple[list[KilledProcess
     try:
         used = {handle.host for handle, _ in handles}
         hosts = {name: host for name, host in saved.specification.hosts.items() if name in used}
-        await backend.reach_hosts(hosts, saved.token, lambda _: None)
+        await backend.reach_hosts(hosts, saved.token, lambda _: None, lambda: False)
         for handle, component in handles:
             name = handle.instance
             try:

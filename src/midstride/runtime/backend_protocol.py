@@ -265,13 +265,18 @@ class Backend(Protocol):
         """Leave the platform; components keep running."""
 
     async def reach_hosts(
-        self, hosts: Mapping[str, HostSpec], token: str, note: Callable[[str], object]
+        self,
+        hosts: Mapping[str, HostSpec],
+        token: str,
+        note: Callable[[str], object],
+        superseded: Callable[[], bool],
     ) -> Mapping[str, str]:
         """Connect to these hosts besides: components may be started there from now on. To be called after ``open``.
 
-        ``token`` identifies the system; ``note`` is called with words when a host is lost or reached again. Returns
-        once each has been tried: by host that cannot be reached now, why, and what to do. Raises BackendError where the
-        platform has no other hosts.
+        ``token`` identifies the system; ``note`` is called with words when a host is lost or reached again. Once
+        another manager has taken over, as ``superseded`` says, no connection is made any more: it would end that one's.
+        Returns once each has been tried: by host that cannot be reached now, why, and what to do. Raises BackendError
+        where the platform has no other hosts.
         """
         return {}
 

@@ -314,6 +314,15 @@ class LifeTable:
         """The unexpected exits of instances whose roles have none since, the earliest first."""
         return self._exits(ProcessState.MISSING)
 
+    def left_on_hosts(self, instances: Container[str]) -> list[str]:
+        """The names of those that could not be terminated on another host, and are not among ``instances``."""
+        return [
+            name
+            for name, life in self._lives.items()
+            if life.process is ProcessState.STUCK and life.handle is not None and life.handle.host
+            if name not in instances
+        ]
+
     @property
     def fenced(self) -> dict[str, FencedInstance]:
         """The instances that the change in progress, or the last one, has fenced, and why."""

@@ -16,7 +16,8 @@ from midstride.simulation.system import System
 
 # How many seeds in succession change one system: the first of them brings it up.
 SHARED_BY: Final = 20
-# Of so many built-in systems in succession, the last one has services and ROS actions, and the one before a container.
+# Of so many built-in systems in succession, the last has services and ROS actions, the one before a container, and the
+# one before that is on several hosts.
 SERVING: Final = 5
 
 
@@ -44,10 +45,14 @@ class Summary:
 
 
 class Runs:
-    """Runs seeds, of the built-in scenario or another. Seeds of the built-in one change the system of those before."""
+    """Runs seeds, of the built-in scenario or another. Seeds of the built-in one change the system of those before.
 
-    def __init__(self, scenario: Scenario | None = None) -> None:
+    ``name``: of the built-in system that each seed changes; None: one after the other.
+    """
+
+    def __init__(self, scenario: Scenario | None = None, name: str | None = None) -> None:
         self._scenario = scenario
+        self._name = name
         self._system: System | None = None
         self._next = -1
 
@@ -62,9 +67,9 @@ class Runs:
     def _run(self, seed: int) -> SeedRun:
         drawn = random.Random(seed)
         current = None if self._system is None else self._system.specification
-        scenario = self._scenario or built_in(drawn, current, _system_of(seed))
+        scenario = self._scenario or built_in(drawn, current, self._name or _system_of(seed))
         if self._system is None:
-            self._system = System(scenario.specification, scenario.specifications())
+            self._system = System(scenario.specification, scenario.specifications(), _first(seed, self._scenario))
         run = Simulation(seed, self._system, scenario, drawn).run()
         self._next = seed + 1
         if run.problems:  # what they have left says nothing about the next seed
@@ -80,7 +85,7 @@ class Runs:
 def _system_of(seed: int) -> str:
     """The built-in system that ``seed`` changes."""
     number = seed // SHARED_BY % SERVING
-    return {SERVING - 1: "docking", SERVING - 2: "composed"}.get(number, "rover")
+    return {SERVING - 1: "docking", SERVING - 2: "composed", SERVING - 3: "spread"}.get(number, "rover")
 
 
 def _first(seed: int, scenario: Scenario | None) -> int:
@@ -93,20 +98,25 @@ def simulate(seed: int, scenario: Scenario | None = None) -> SeedRun:
     return next(simulate_many((seed,), scenario))
 
 
-def simulate_many(seeds: Iterable[int], scenario: Scenario | None = None, jobs: int = 1) -> Iterator[SeedRun]:
-    """The runs of ``seeds`` in their order, ``jobs`` at a time, each in a process."""
+def simulate_many(
+    seeds: Iterable[int], scenario: Scenario | None = None, jobs: int = 1, name: str | None = None
+) -> Iterator[SeedRun]:
+    """The runs of ``seeds`` in their order, ``jobs`` at a time, each in a process.
+
+    Without a ``scenario``, of the built-in system ``name``, or of all.
+    """
     if jobs <= 1:
-        yield from _run_all(seeds, scenario)
+        yield from _run_all(seeds, scenario, name)
         return
     groups = (list(group) for _, group in groupby(seeds, lambda seed: seed // SHARED_BY))
     # Processes that are forked have the scenario already.
-    with multiprocessing.get_context("fork").Pool(jobs, _begin, (scenario,)) as pool:
+    with multiprocessing.get_context("fork").Pool(jobs, _begin, (scenario, name)) as pool:
         for runs in pool.imap(_run_group, groups):
             yield from runs
 
 
-def _run_all(seeds: Iterable[int], scenario: Scenario | None) -> Iterator[SeedRun]:
-    runs = Runs(scenario)
+def _run_all(seeds: Iterable[int], scenario: Scenario | None, name: str | None) -> Iterator[SeedRun]:
+    runs = Runs(scenario, name)
     try:
         for seed in seeds:
             yield runs.run(seed)
@@ -115,12 +125,13 @@ def _run_all(seeds: Iterable[int], scenario: Scenario | None) -> Iterator[SeedRu
 
 
 _scenario: Scenario | None = None
+_name: str | None = None
 
 
-def _begin(scenario: Scenario | None) -> None:
-    global _scenario
-    _scenario = scenario
+def _begin(scenario: Scenario | None, name: str | None) -> None:
+    global _scenario, _name
+    _scenario, _name = scenario, name
 
 
 def _run_group(seeds: list[int]) -> list[SeedRun]:
-    return list(_run_all(seeds, _scenario))
+    return list(_run_all(seeds, _scenario, _name))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Literal, TypeAlias, cast, get_args
 
 from midstride.backends.simulator.injected_faults import RequestFault
@@ -38,10 +39,18 @@ FaultKind: TypeAlias = Literal[
     "manager superseded",
     "link cut",
     "link cut one way",
+    "link cut twice",
+    "slow link",
+    "lossy link",
+    "host process killed",
 ]
-# Faults of the line between two hosts, which are drawn besides where there are two.
-OF_LINKS: Final[tuple[FaultKind, ...]] = ("link cut", "link cut one way")
+# Faults of the line between two hosts, which are drawn besides where there are two; and those of declared hosts.
+_CUTS: Final[tuple[FaultKind, ...]] = ("link cut", "link cut one way")
+OF_LINKS: Final[tuple[FaultKind, ...]] = (*_CUTS, "link cut twice", "slow link", "lossy link", "host process killed")
 KINDS: Final[tuple[FaultKind, ...]] = tuple(each for each in get_args(FaultKind) if each not in OF_LINKS)
+_OF_HOSTS: Final[tuple[FaultKind, ...]] = tuple(each for each in KINDS if each != "clock jump")
+# For how long a line is back before it is cut again (s): a connection is being made.
+BACK: Final = (0.05, 0.4, 1.0)
 # How late messages are at most (s): what is under way when the faults end arrives while the system settles.
 LONGEST_DELAY: Final = 0.3
 # Faults that make calls of a component's code late.
@@ -122,9 +131,14 @@ class Fault:
         return f"{self.kind} at request {self.after} {where}"
 
 
-def draw(random: random.Random, steps: Sequence[str]) -> list[Fault]:
-    """At least two faults, most of them during the steps of these kinds; in some runs only the manager fails."""
+def draw(random: random.Random, steps: Sequence[str], hosts: bool = False) -> list[Fault]:
+    """At least two faults, most of them during the steps of these kinds; in some runs only the manager fails.
+
+    ``hosts``: without a clock of the whole system, of which each host has another one.
+    """
     kinds = sorted(OF_THE_MANAGER) if random.random() < 0.2 else KINDS
+    if hosts and kinds is KINDS:
+        kinds = _OF_HOSTS
     return [_draw(random, steps, kinds) for _ in range(random.choice((2, 2, 2, 3, 4)))]
 
 
@@ -132,7 +146,7 @@ def _draw(random: random.Random, steps: Sequence[str], kinds: Sequence[str]) -> 
     op = random.choice(CRITICAL) if "handover" in steps and random.random() < 0.25 else None
     step = "handover" if op is not None else random.choice(steps) if steps and random.random() < 0.75 else None
     after = 0 if op is not None else random.randrange(REQUESTS if step is None else REQUESTS_OF.get(step, 3))
-    stalls = op is not None and kinds is KINDS and random.random() < 0.4
+    stalls = op is not None and kinds in (KINDS, _OF_HOSTS) and random.random() < 0.4
     kind = cast("FaultKind", random.choice(STALLS if stalls else kinds))
     if stalls and kind == "hang":
         return Fault(kind, "handover", 0, involved=True, seconds=BUSY, times=1, op="cut_out")
@@ -153,12 +167,54 @@ def draw_of_links(seed: int, steps: Sequence[str]) -> list[Fault]:
     By numbers that nothing else is drawn from.
     """
     drawn = random.Random(f"the line between two hosts, {seed}")
-    kind = drawn.choice((*OF_LINKS, None))
+    kind = drawn.choice((*_CUTS, None))
     if kind is None or "handover" not in steps:
         return []
     op = drawn.choice((*CRITICAL, "claim", "claim"))
     seconds = drawn.choice((0.1, 0.3, 1.0, 1.3, 2.0, 4.0))
     return [Fault(kind, "handover", 0, involved=True, seconds=seconds, times=1, op=op)]
+
+
+def draw_of_hosts(random: random.Random, steps: Sequence[str]) -> list[Fault]:
+    """One or two faults of the lines between declared hosts, or of a host process, at any request of the change."""
+    found = []
+    for _ in range(random.choice((1, 1, 2))):
+        kind = random.choice(OF_LINKS)
+        step = random.choice(steps) if steps and random.random() < 0.75 else None
+        after = random.randrange(REQUESTS if step is None else REQUESTS_OF.get(step, 3))
+        seconds = random.choice((0.3, 1.0, 3.0, 6.0, 8.0, 15.0))
+        found.append(Fault(kind, step, after, involved=False, seconds=seconds, times=1))
+    return found
+
+
+def _strike_hosts(fault: Fault, platform: Platform, random: random.Random) -> str | None:
+    """A line between hosts, or a host process: in words, where there is one."""
+    hosts, links = platform.host_names(), platform.network.links
+    if fault.kind == "host process killed":
+        running = [far for _, far in sorted(platform.far.items()) if far.runs]
+        if not running:
+            return None
+        (far := random.choice(running)).kill()
+        return far.name
+    lines = [(one, other) for one in hosts for other in hosts if one != other]
+    if not lines:
+        return None
+    if platform.far:
+        one, other = random.choice(lines)
+        lines = [(one, other), (other, one)]
+    chosen = [random.choice(lines)] if fault.kind == "link cut one way" else lines
+    for line in chosen:
+        match fault.kind:
+            case "slow link":
+                links.slow(*line, min(fault.seconds, 1.0) * 0.3)
+            case "lossy link":
+                links.lose(*line, random.choice((0.005, 0.05, 0.3)))
+            case _:
+                links.cut(*line, fault.seconds)
+                if fault.kind == "link cut twice":
+                    back = fault.seconds + random.choice(BACK)
+                    platform.later(back, partial(links.cut, *line, fault.seconds))
+    return f"between {' and '.join(chosen[0])}" if platform.far else "between the hosts"
 
 
 def strike(fault: Fault, platform: Platform, names: list[str], random: random.Random) -> str | None:
@@ -174,6 +230,8 @@ def strike(fault: Fault, platform: Platform, names: list[str], random: random.Ra
         case "failed start":
             platform.next_start_fails = True
             return "the next start"
+        case kind if kind in OF_LINKS:
+            return _strike_hosts(fault, platform, random)
         case "clock jump":
             time.drive(1.0, time.ros_now() + round(random.choice((-1, 1)) * fault.seconds * 1e9))
             return "/clock"
@@ -188,12 +246,6 @@ def strike(fault: Fault, platform: Platform, names: list[str], random: random.Ra
             faults.freeze(target.instance, fault.seconds)
         case "hang":
             faults.hang(target.instance, fault.seconds)
-        case "link cut" | "link cut one way":
-            hosts = platform.host_names()
-            lines = [(one, other) for one in hosts for other in hosts if one != other]
-            for line in lines if fault.kind == "link cut" else [random.choice(lines)] if lines else []:
-                platform.control.links.cut(*line, fault.seconds)
-            return "between the hosts" if lines else None
         case "no discovery":
             faults.stop_discovery(target.instance)
         case "slow rate" | "silence" | "exception":

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -32,6 +32,8 @@ RESUMED_LATE: Final = 0.5
 # Two publishers that exchanged their topic this often within so many seconds were heard at once.
 EXCHANGES: Final = 3
 EXCHANGES_WITHIN: Final = 1.0
+# How often it is looked whether what is cut off has left its mode (s): more often than a line is back and cut again.
+LOOK: Final = 0.02
 # Two publishers that write within this part of a period write the same slot.
 SAME_SLOT: Final = 0.25
 
@@ -70,6 +72,9 @@ class Invariants:
     # Since when the assumption of each functionality is broken, and since when the manager could have reacted (s).
     _broken: dict[FunctionalityRef, float] = field(default_factory=dict)
     _free: dict[FunctionalityRef, float] = field(default_factory=dict)
+    # Since when what each assumes does not arrive, as a line between hosts is cut; and when that was looked at (s).
+    _cut_off: dict[FunctionalityRef, float] = field(default_factory=dict)
+    _looked_at: float = 0.0
     # Since when the mode of each assumes clients whose servers are gone (s).
     _serverless: dict[FunctionalityRef, float] = field(default_factory=dict)
     # Since when each functionality has been in its mode, and for how long it had been in the one before (steady s, s).
@@ -93,6 +98,7 @@ class Invariants:
         torn: Callable[[], bool],
         violated: Callable[[str], None],
         deafened: Callable[[], bool] = bool,
+        moved: Collection[str] = (),
     ) -> None:
         """A new seed begins.
 
@@ -103,10 +109,12 @@ class Invariants:
         ``torn()``: whether one of two instances may take the other one for dead.
         ``violated`` is called once for each violation, with words.
         ``deafened()``: whether a fault may keep an instance that ends from telling another one what it leaves to it.
+        ``moved``: the roles that the change moves to other hosts.
         """
         self.reaction, self.lateness, self.uninterrupted, self.violated = reaction, lateness, uninterrupted, violated
         self.requests.torn, self.requests.violated = torn, self._violation
         self.requests.goals.torn, self.requests.goals.violated = deafened, self._violation
+        self.moved = moved
         self.heard.clear()
         self._reported.clear()
 
@@ -149,6 +157,9 @@ class Invariants:
         for other in self.platform.stand_ins():
             if other is process or other.role != process.role:
                 continue
+            if other.host != process.host and process.role not in self.moved:
+                names = " and ".join(sorted((process.instance, other.instance)))
+                self._violation(f"{names} run on two hosts, although nobody has moved the node")
             for port, topic in sorted(process.open_outputs() & other.open_outputs()):
                 if not _guarantees(process, port) and not _guarantees(other, port):
                     continue
@@ -198,9 +209,37 @@ class Invariants:
             self._broken = {ref: self._broken.get(ref, now) for ref in self.oracle.broken(self._shown.values())}
             self._free = {ref: self._free.get(ref, now) for ref in self._broken}
             self._serverless = {ref: at for ref, at in self._serverless.items() if ref in self._broken}
-            self.due = bool(self._broken)
+            self.due = bool(self._broken) or self.platform.network.links.any_cut
         if self._broken:
             self._check_reaction()
+        if self.platform.network.links.any_cut:
+            self._check_cut_off()
+        elif self._cut_off:
+            self._cut_off.clear()
+
+    def _check_cut_off(self) -> None:
+        """A component must leave a mode whose input does not arrive, although somebody publishes it on another host."""
+        now = self.platform.time.steady()
+        if now < self._looked_at + LOOK:
+            return
+        self._looked_at = now
+        found = self.oracle.broken(self._shown.values(), self._hears)
+        self._cut_off = {ref: self._cut_off.get(ref, now) for ref in found if ref not in self._broken}
+        for ref, since in self._cut_off.items():
+            process = self.platform.standing(ref.instance)
+            if process is None or not process.reacts:
+                self._cut_off[ref] = now
+            elif now - max(since, process.frozen_until) > REFLEX and self.oracle.reflex_applies(
+                self._shown[ref.instance], ref.functionality, received(process)
+            ):
+                self._violation(f"{self._stays(ref)} has not arrived for more than {REFLEX:g} s")
+
+    def _hears(self, instance: str, by: str) -> bool:
+        """Return whether the line from the host of an instance to that of another one is not cut."""
+        sender, receiver = self.platform.standing(instance), self.platform.standing(by)
+        if sender is None or receiver is None or sender.on == receiver.on:
+            return True
+        return not self.platform.network.links.is_cut(sender.on, receiver.on)
 
     def _check_reaction(self) -> None:
         """The manager must react where it can; and the component itself, whatever the manager does."""

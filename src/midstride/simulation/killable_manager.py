@@ -11,7 +11,6 @@ import inspect
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from midstride.backends.simulator.backend import Simulator
 from midstride.errors import Unreachable
 from midstride.model.component import StopTimes
 from midstride.runtime.backend_protocol import Exited, Handle, Launch, RemainingProcess
@@ -24,10 +23,14 @@ class ManagerKilled(BaseException):
 
 
 class Life:
-    """The life of one manager. ``backend`` is what it is made with (:mod:`midstride.runtime.backend_protocol`)."""
+    """The life of one manager. ``backend`` is what it is made with (:mod:`midstride.runtime.backend_protocol`).
 
-    def __init__(self, simulator: Simulator) -> None:
+    ``simulator``: the back end that this one stands before; it is told by `killed` and `isolated`, where it has them.
+    """
+
+    def __init__(self, simulator: Any) -> None:
         self.alive = True
+        self._inner = simulator
         self.backend: Any = _Backend(self, simulator)
         self._connections: list[Connection] = []
         self._under_way: dict[asyncio.Future[Any], None] = {}  # in order: that of a set differs from run to run
@@ -41,6 +44,7 @@ class Life:
     def kill(self) -> None:
         if self.alive:
             self.alive = False
+            self._tell("killed")
             for connection in self._connections:
                 connection.close()
             for call in self._under_way:
@@ -49,6 +53,12 @@ class Life:
     def isolate(self) -> None:
         """Cut it off: it lives, and neither reaches anything outside nor hears of it, until :meth:`reconnect`."""
         self.cut_off = asyncio.get_running_loop().create_future()
+        self._tell("isolated")
+
+    def _tell(self, what: str) -> None:
+        """The back end may have connections that are not made through this one."""
+        if (tell := getattr(self._inner, what, None)) is not None:
+            tell()
 
     def reconnect(self) -> None:
         if self.cut_off is not None and not self.cut_off.done():
@@ -111,7 +121,7 @@ class _Guarded:
 
 
 class _Backend(_Guarded):
-    def __init__(self, life: Life, simulator: Simulator) -> None:
+    def __init__(self, life: Life, simulator: Any) -> None:
         super().__init__(life, simulator)
         self.name = simulator.name
         self.clock = _Clock(life, simulator.clock)

@@ -5,7 +5,7 @@ It works on what the processes show of themselves. Only whether one contract sat
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import NamedTuple
 
 from midstride.model.component import ComponentSpec, Connector, FunctionalityRef, InputAlternatives
@@ -68,19 +68,29 @@ class Oracle:
         """The longest period of a topic (s); 0 where none has a rate."""
         return max(map(self.period, self._topics), default=0.0)
 
-    def broken(self, shown: Collection[Shown]) -> list[FunctionalityRef]:
-        """The functionalities whose current mode assumes what nothing guarantees."""
-        satisfied = set(self._given)
+    def broken(
+        self, shown: Collection[Shown], hears: Callable[[str, str], bool] = lambda _, by: True
+    ) -> list[FunctionalityRef]:
+        """The functionalities whose current mode assumes what nothing guarantees.
+
+        ``hears(instance, by)``: whether what an instance publishes arrives at another one.
+        """
+        providers: dict[str, list[str]] = {}
         for each in shown:
             modes = dict(each.modes)
             for port, topic in each.links:
-                if port not in each.component.inputs and topic not in satisfied:
+                if port not in each.component.inputs and topic not in self._given:
                     owner = each.component.owner(port).name
                     if self._provided(each, owner, modes[owner], port, topic):
-                        satisfied.add(topic)
+                        providers.setdefault(topic, []).append(each.instance)
         found = []
         for each in shown:
-            inputs = {port for port, topic in each.links if topic in satisfied and self._accepted(each, port, topic)}
+            inputs = {
+                port
+                for port, topic in each.links
+                if topic in self._given or any(hears(name, each.instance) for name in providers.get(topic, ()))
+                if self._accepted(each, port, topic)
+            }
             for functionality, mode in each.modes:
                 if any(inputs.isdisjoint(names) for names in self._needed(each, functionality, mode)):
                     found.append(FunctionalityRef(each.instance, functionality))

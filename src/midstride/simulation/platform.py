@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.injected_faults import beside
 from midstride.backends.simulator.simulated_process import SimulatedProcess
+from midstride.backends.simulator.virtual_clock import HostClock
 from midstride.model.component import StopTimes
 from midstride.node.component_host import Host
 from midstride.runtime.backend_protocol import Handle, Launch, RemainingProcess
 from midstride.simulation.stand_in import StandIn
+from midstride.wire.pipe import MEMORY
+
+
+class Far(Protocol):
+    """A host besides the manager's, whose host process may run."""
+
+    name: str
+
+    @property
+    def runs(self) -> bool: ...
+
+    def kill(self) -> None:
+        """Kill its host process."""
 
 
 class Platform(Simulator):
@@ -23,6 +39,11 @@ class Platform(Simulator):
         self.next_start_fails = False
         # On how many hosts the processes run that are started from now on.
         self.hosts = 1
+        # The declared hosts besides the manager's, once there are any.
+        self.far: dict[str, Far] = {}
+        self._later: list[asyncio.TimerHandle] = []
+        # By declared host, where its clocks differ from those of the manager's.
+        self.clocks: dict[str, HostClock] = {}
         self._on_change = on_change
 
     def standing(self, instance: str) -> StandIn | None:
@@ -34,7 +55,14 @@ class Platform(Simulator):
         return [process for _, process in sorted(self.processes.items()) if isinstance(process, StandIn)]
 
     def host_names(self) -> list[str]:
+        """The hosts between which there are lines."""
+        if self.far:
+            return sorted({MEMORY, *self.far})
         return sorted({process.on for process in self.processes.values()})
+
+    def later(self, seconds: float, call: Callable[[], None]) -> None:
+        """Call it so much later, unless the faults are over by then."""
+        self._later.append(self.time.loop.call_later(seconds, call))
 
     async def start(self, launch: Launch) -> Handle:
         handle = await super().start(launch)
@@ -58,7 +86,10 @@ class Platform(Simulator):
     def heal(self) -> None:
         """End every fault of the platform. A middleware that finds no endpoints any more needs a new process."""
         self.faults.clear()
-        self.control.links.clear()
+        for handle in self._later:
+            handle.cancel()
+        self._later.clear()
+        self.network.links.clear()
         self.starting = 0.05
         self.next_start_fails = False
         for topic in self.network.topics.values():
@@ -75,7 +106,9 @@ class Platform(Simulator):
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
         process = StandIn(launch, self._pids, self.time, self._host, self._exited, log)
         process.on_state = self._on_change
-        process.on = f"host {self._pids % self.hosts}"
+        if not launch.host:
+            process.on = f"host {self._pids % self.hosts}" if self.hosts > 1 else MEMORY
+        process.own_clock = self.clocks.get(launch.host, self.time)
         return process
 
     def _host(self, process: SimulatedProcess, name: str) -> Host:

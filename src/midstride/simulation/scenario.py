@@ -12,6 +12,7 @@ from immutables import Map
 
 from midstride.lang.load import load_text
 from midstride.model.component import DEFAULT_CONTAINER
+from midstride.model.hosts import OWN_HOST, HostSpec, word_of_host
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.request import PlanRequest
@@ -219,6 +220,8 @@ _BUILT_IN: Final = {
 def _built_in(name: str) -> Specification:
     if name == "composed":
         return _composed(_built_in("rover"))
+    if name == "spread":
+        return _spread(_built_in("rover"))
     text, stateless = _BUILT_IN[name]
     return with_stand_ins(load_text(text).require(), stateless)
 
@@ -230,6 +233,17 @@ _SHARED: Final = ("detector", "mapper", "planner")
 def _composed(rover: Specification) -> Specification:
     nodes = {role: replace(node, container="box" if role in _SHARED else None) for role, node in rover.nodes.items()}
     return replace(rover, name="composed", nodes=Map(nodes), containers=Map({"box": DEFAULT_CONTAINER}))
+
+
+# The rover on three hosts: its messages and its plans cross each of the lines between them.
+_HOSTS: Final = ("arm", "base")
+_ON: Final = {"lidar": "base", "detector": "arm", "guard": "arm", "driver": "base"}
+
+
+def _spread(rover: Specification) -> Specification:
+    nodes = {role: replace(node, host=_ON.get(role, OWN_HOST)) for role, node in rover.nodes.items()}
+    hosts = {name: HostSpec(name, name) for name in _HOSTS}
+    return replace(rover, name="spread", nodes=Map(nodes), hosts=Map(hosts))
 
 
 # What may take the place of what.
@@ -257,11 +271,12 @@ def built_in(random: random.Random, current: Specification | None = None, name: 
     """A built-in system, as it is or as earlier changes have left it, with a drawn change of one or two nodes.
 
     A node that an earlier change has removed is added again before anything else. ``name``: `rover`; `docking`, which
-    has services and ROS actions; or `composed`, the rover with three nodes in a container.
+    has services and ROS actions; `composed`, the rover with three nodes in a container; or `spread`, the rover on three
+    hosts.
     """
     specification = current or _built_in(name)
     request = _built_in_change(random, specification)
-    shape = sorted((role, node.component, node.container) for role, node in specification.nodes.items())
+    shape = sorted((role, node.component, node.container, node.host) for role, node in specification.nodes.items())
     key = (*shape, request.strategy, request.describe())
     if key not in _built_in_steps:
         _built_in_steps[key] = _steps(specification, request)
@@ -278,6 +293,9 @@ def _built_in_change(random: random.Random, specification: Specification) -> Pla
     replaceable = _REPLACEABLE["docking" if specification.name == "docking" else "rover"]
     if missing := sorted(set(nodes) - set(roles)):
         return PlanRequest(add=(nodes[missing[0]],), strategy=strategy)
+    if specification.hosts and random.random() < 0.2:
+        # State is not handed over between hosts: the old node is ended, and then the new one is started.
+        return PlanRequest(on=(_moved(random, specification),), strategy="paper")
     members = specification.members_of("box")
     if members and random.random() < 0.2:
         return PlanRequest(restart=tuple(members), strategy=strategy)
@@ -302,7 +320,15 @@ def _built_in_change(random: random.Random, specification: Specification) -> Pla
     node = specification.nodes["driver"]
     speed = random.choice([speed for speed in range(1, 10) if speed != node.parameters.get("speed", 1)])
     parameters = node.parameters.set("speed", speed)
-    return PlanRequest(to=specification.with_node(Node("driver", "Driver", node.attachments, parameters)))
+    return PlanRequest(to=specification.with_node(replace(node, component="Driver", parameters=parameters)))
+
+
+def _moved(random: random.Random, specification: Specification) -> tuple[str, str]:
+    """A node, and another host for it."""
+    # What a topic admits alone is handed over in any plan.
+    role = random.choice([role for role in sorted(specification.nodes) if role != "driver"])
+    others = [host for host in (OWN_HOST, *_HOSTS) if host != specification.nodes[role].host]
+    return role, word_of_host(random.choice(others))
 
 
 def _other(specification: Specification, role: str, one: str, other: str) -> str:

@@ -17,7 +17,9 @@ from midstride.node.control.component_agent import HEARTBEAT
 from midstride.plan.forms.step_forms import AttachStep, DetachStep, HandoverStep, RemoveStep
 from midstride.plan.request import PlanRequest
 from midstride.runtime.handover.arbiter_choice import LEASE
+from midstride.runtime.hosts.host_link import LONGEST_PAUSE
 from midstride.runtime.manager import Manager
+from midstride.runtime.process.component_client import REOPEN_INTERVAL
 from midstride.runtime.records.reports import Event
 from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
 from midstride.simulation.faults import (
@@ -30,6 +32,7 @@ from midstride.simulation.faults import (
     PROMPT,
     Fault,
     draw,
+    draw_of_hosts,
     draw_of_links,
     strike,
 )
@@ -60,6 +63,10 @@ AWAITED_OF_OTHERS: Final = 1.0
 TWO_HOSTS: Final = 0.25
 # For how long an old side on another host may have to wait besides, as the lease of the new one lasts (s).
 LONGEST_LEASE: Final = LEASE * LEASE_SLACK
+# How long until every host is reached again (s): the longest pause between two attempts, the attempt and a login; and
+# until its components are connected again, which is tried every second.
+REACHED_AGAIN: Final = LONGEST_PAUSE + 3.0
+CONNECTED_AGAIN: Final = REOPEN_INTERVAL + 0.7
 # How long to wait after the last command, for reports and messages to arrive (s).
 SETTLING: Final = 0.4
 # Where a write kills the manager: at any, or at one that records what has just been started or removed, or is done.
@@ -116,16 +123,20 @@ class Simulation:
         self._scenario = scenario
         # Whether another command waits for each change, which then measures for three periods instead of twenty.
         self._brief = self._random.random() < 0.8
-        self._faults = draw(self._random, self._scenario.steps)
-        system.platform.hosts = 2 if self._random.random() < TWO_HOSTS else 1
+        hosts = bool(scenario.specification.hosts)
+        self._faults = draw(self._random, scenario.steps, hosts)
+        system.platform.hosts = 2 if self._random.random() < TWO_HOSTS and not hosts else 1
         if system.platform.hosts == 2:
-            self._faults += draw_of_links(seed, self._scenario.steps)
+            self._faults += draw_of_links(seed, scenario.steps)
+        elif hosts:
+            self._faults += draw_of_hosts(self._random, scenario.steps)
         self._loop, self._platform, self._disk = system.loop, system.platform, system.disk
         self._loop.random.seed(self._random.getrandbits(32))
         self._platform.network.random.seed(self._random.getrandbits(32))
         system.on_event, system.on_exit = self._on_manager_event, self._on_exit
+        moved = {role for request in scenario.changes for role, _ in request.on}
         system.invariants.begin(
-            self._reaction, self._lateness, self._uninterrupted, self._torn, self._violated, self._deafened
+            self._reaction, self._lateness, self._uninterrupted, self._torn, self._violated, self._deafened, moved
         )
         self._platform.control.before_request = self._before_request
         self._platform.control.on_carried_out_twice = self._on_carried_out_twice
@@ -176,6 +187,8 @@ class Simulation:
         self._since, self._step = {"change": 0}, "none"
         for request in self._scenario.changes:
             await self._change(request)
+        if self._has_struck(*OF_LINKS) and self._system.hosts:  # what is cut off has time to notice
+            await asyncio.sleep(self._random.choice((0.0, 3.0, 12.0)))
         self._note("faults", "off")
         self._waiting, self._faulty, self._calm_since = [], False, self._platform.time.steady()
         self._disk.full, self._disk.kill_at = False, None
@@ -246,6 +259,7 @@ class Simulation:
             except MidstrideError as error:  # a process that was started before the faults ended
                 self._note("up", f"failed: {error}")
                 await self._up()
+        await self._reach_hosts()
         await asyncio.sleep(SETTLING)
         manager = self._manager
         if not self._has_struck("full disk"):  # what was refused is written with the next write
@@ -278,6 +292,25 @@ class Simulation:
         for problem in uncaught(self._loop.errors):
             self._violated(problem)
         self._system.specification = manager.specification
+
+    async def _reach_hosts(self) -> None:
+        """Wait until the manager has its links again, which it makes by itself, and its components are connected."""
+        backend, begun = self._system.backend, self._platform.time.steady()
+        if backend is None or not self._system.hosts:
+            return
+        while backend.problems():
+            if self._platform.time.steady() - begun > REACHED_AGAIN:
+                self._violated(f"not reached again after {REACHED_AGAIN:g} s: {backend.problems()}")
+                return
+            await asyncio.sleep(0.1)
+        await asyncio.sleep(max(0.0, backend.reached_at + CONNECTED_AGAIN - self._platform.time.steady()))
+
+    def _are_reached(self) -> bool:
+        """Return whether the manager reaches every host, and has for as long as it needs to reach its components."""
+        backend = self._system.backend
+        if backend is None or not self._system.hosts:
+            return True
+        return not backend.problems() and self._platform.time.steady() > backend.reached_at + CONNECTED_AGAIN
 
     def _notices_late(self) -> bool:
         """Return whether a functionality has noticed only now that a request of its mode was lost while faults struck.
@@ -314,11 +347,11 @@ class Simulation:
         return manager
 
     def _reaction(self) -> float:
-        if self._busy or self._faulty or not self._system.lives[-1].alive:
+        if self._busy or self._faulty or not self._system.lives[-1].alive or not self._are_reached():
             return math.inf
         if self._has_struck("refused request"):
             return REACTION_IF_REFUSED
-        return REACTION_IF_UNREACHED if self._has_struck(*LOSSES) else REACTION
+        return REACTION_IF_UNREACHED if self._has_struck(*LOSSES, *OF_LINKS) else REACTION
 
     def _lateness(self) -> float:
         if not self._has_struck(*LATE):
@@ -390,6 +423,10 @@ class Simulation:
                     self._violated(words)
         elif event.kind in ("rollback", "rollback_failed", "degraded", "exited"):
             self._reached(event.kind)
+        if event.kind == "exited":
+            for process in self._platform.stand_ins():
+                if process.host and self._manager.system.life.has_exited(process.instance):
+                    self._violated(f"{process.instance} is said to have exited, and runs")
         if "internal error" in event.words:
             self._violated(event.words)
         if event.kind in ("step", "up") and self._superseded is not None:
@@ -444,6 +481,7 @@ class Simulation:
                 self._supersede()
             case _:
                 where = strike(fault, self._platform, self._targets(fault, instance), self._random)
+                self._system.invariants.due = True
         if where is not None:
             self._note("fault", f"{fault.kind} ({where}, {fault.seconds:g} s, {fault.times} times)")
             self._struck.append(Struck(fault.kind, where, self._step, fault.seconds, fault.op))

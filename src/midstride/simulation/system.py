@@ -15,6 +15,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.records.reports import Event
 from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
+from midstride.simulation.far_hosts import FarHost, SimulatedHosts, drawn_clocks
 from midstride.simulation.invariants import Invariants
 from midstride.simulation.killable_manager import Life
 from midstride.simulation.loop import SeededLoop
@@ -32,10 +33,11 @@ class System:
     """A loop, a platform, a disk and the managers so far. ``specification`` is the one that was last in force.
 
     ``specifications``: every specification that it may have. ``on_event`` and ``on_exit`` are those of the seed that
-    runs: called with each event of a manager, and with each process that has ended.
+    runs: called with each event of a manager, and with each process that has ended. The clocks of its hosts are drawn
+    from ``seed``.
     """
 
-    def __init__(self, specification: Specification, specifications: list[Specification]) -> None:
+    def __init__(self, specification: Specification, specifications: list[Specification], seed: int = 0) -> None:
         self.specification = specification
         gc.disable()  # finalizers would be called at moments that differ from run to run; and it takes time
         # What it does not implement, sockets and processes, the simulation does not have.
@@ -48,6 +50,11 @@ class System:
         self.platform.network.services.outside = self.invariants.oracle.served_outside
         self.loop.observer = self.invariants
         self.disk = SimulatedDisk()
+        # The hosts besides the manager's, and the latest manager's links to them.
+        self.hosts: dict[str, FarHost] = {}
+        self.backend: SimulatedHosts | None = None
+        if specification.hosts:
+            self.platform.clocks = drawn_clocks(specification.hosts, self.platform.time, seed)
         self._policy, POLICY.on_forbidden = POLICY.on_forbidden, self._reject
         self.lives: list[Life] = []
         self.manager: Manager | None = None
@@ -64,7 +71,9 @@ class System:
 
     def new_manager(self) -> Manager:
         """A new manager of the system as it is saved, or as it is specified."""
-        life = Life(self.platform)
+        backend = SimulatedHosts(self.platform, WORKSPACE, self.hosts)
+        life = backend.life = Life(backend)
+        self.backend = backend
         self.disk.life = life
         saved = self.saved() if self.lives else None
         declared = self.specification if saved is None else saved.specification

@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from functools import partial
 from typing import Final
+from urllib.parse import unquote
 
 from midstride.errors import NodeError, Unreachable
 from midstride.wire.transport import Connection, Serve, StopListening
@@ -112,7 +113,12 @@ class PipeNetwork:
         return f"{_SCHEME}{instance}"
 
     def instance(self, address: str) -> str:
-        return address.removeprefix(_SCHEME)
+        """The component of an address, here or as a host process names it."""
+        return (
+            unquote(address.rpartition("/")[2].removesuffix(".sock"))
+            if address.startswith("unix:")
+            else address.removeprefix(_SCHEME)
+        )
 
     def cut_lock(self, cut: str, place: str = MEMORY) -> PipeLock:
         """A lock of ``cut`` among those of one ``place``: those of two places do not exclude each other."""

@@ -6,8 +6,9 @@ from midstride.backends.simulator.backend import Simulator
 from midstride.backends.simulator.virtual_loop import PacedLoop, VirtualLoop, run_paced
 
 PUBLIC = (
-    "CooperativeThread Ended ProcessOutput RequestFault SUCCEEDED ServiceObserver SimulatedProcess "
-    "SimulatedProgram SimulatedRequest SimulatedWriter Simulator ThreadYield UNKNOWN beside run_at_once"
+    "ControlOfHost CooperativeThread Ended HostClock Links ProcessOutput RequestFault SUCCEEDED ServiceObserver "
+    "SimulatedClock SimulatedProcess SimulatedProgram SimulatedRequest SimulatedWriter Simulator ThreadYield "
+    "UNKNOWN beside run_at_once"
 )
 
 __all__ = ["PacedLoop", "Simulator", "VirtualLoop", "run_paced"]

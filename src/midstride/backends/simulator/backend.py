@@ -53,7 +53,7 @@ class Simulator(Backend):
     :class:`PacedLoop` it keeps step with real time, and on any other asyncio loop runs in real time; call
     :meth:`shutdown` at the end. All times are in seconds; the same
     ``seed`` gives the same run. ``logs``: the folder for the output of the components, one file for each. Hosts are
-    names here: all processes run in this one, and what separates hosts is not simulated.
+    names here, whose components share no lock; the manager reaches each of them directly.
     """
 
     name = "sim"
@@ -76,11 +76,13 @@ class Simulator(Backend):
         self.network = Network(self.time, latency, jitter, discovery, seed)
         self.processes: dict[str, SimulatedProcess] = {}
         self.faults = Faults(self.processes, self.network)
-        self.control = SimulatedControl(self.time, latency, self.faults)
+        self.control = SimulatedControl(self.network.links, latency, self.faults)
         self.transport: Transport = self.control
         self.starting = starting  # how long the processes take that are started from now on (s)
         self._logs = logs
         self._on_exit: Callable[[Exited], None] = lambda exited: None
+        # Who is told of exits on a host, where that is not the manager itself.
+        self.host_exits: dict[str, Callable[[Exited], None]] = {}
         self._patches = ExitStack()
         self._active = False
         self._pids = FIRST_PID
@@ -174,8 +176,12 @@ class Simulator(Backend):
         while not process.dead and self.time.steady() < deadline:
             await self.time.sleep(min(0.01, seconds))
 
-    async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
-        started = {name for name, process in self.processes.items() if process.token == token}
+    async def end_orphans(
+        self, token: str, known: Container[str], stop: StopTimes, host: str | None = None
+    ) -> list[str]:
+        """``host``: those on that one; None: those on any."""
+        found = self.processes.items()
+        started = {name for name, each in found if each.token == token and host in (None, each.host)}
         orphans = sorted(name for name in started if name not in known)
         for name in orphans:
             await self.end(name, stop)
@@ -228,7 +234,7 @@ class Simulator(Backend):
             del self.processes[process.instance]
         if not process.exit_expected:
             event = Exited(process.instance, process.status, process.log.tail(20))
-            self.time.loop.call_later(EXIT_LATENCY, lambda: self._on_exit(event))
+            self.time.loop.call_later(EXIT_LATENCY, lambda: self.host_exits.get(process.host, self._on_exit)(event))
         if process.crashed:
             for each in beside(process, self.processes):
                 each.kill(-9)

@@ -12,7 +12,6 @@ from collections.abc import Awaitable, Callable
 from midstride.backends.simulator.injected_faults import FailingCall, Faults
 from midstride.backends.simulator.links import Links
 from midstride.backends.simulator.simulated_process import SimulatedProcess
-from midstride.backends.simulator.virtual_clock import SimulatedClock
 from midstride.errors import CallTimeout, NodeError, Unreachable
 from midstride.wire import frames
 from midstride.wire.frames import Reply, Request
@@ -123,7 +122,7 @@ class SimulatedEnd(PipeEnd):
 
 
 def line_between(sender: SimulatedProcess | None, receiver: SimulatedProcess | None) -> tuple[str, str]:
-    """The hosts of both; the manager, which is None, reaches each component as if it were on its host."""
+    """The hosts of both; the manager, or a program that forwards for it, which is None, is on that of the component."""
     if sender is None or receiver is None:
         return MEMORY, MEMORY
     return sender.on, receiver.on
@@ -132,7 +131,7 @@ def line_between(sender: SimulatedProcess | None, receiver: SimulatedProcess | N
 class SimulatedControl:
     """Implements :class:`midstride.wire.transport.Transport` for the manager; :meth:`of` gives that of a process."""
 
-    def __init__(self, clock: SimulatedClock, latency: float, faults: Faults) -> None:
+    def __init__(self, links: Links, latency: float, faults: Faults) -> None:
         self.faults = faults
         # Awaited before each request, with the component's name and the command's: for tests and rehearsals.
         self.before_request: Callable[[str, str], Awaitable[None]] | None = None
@@ -140,7 +139,7 @@ class SimulatedControl:
         self.rewrite_state: Callable[[ComponentState], ComponentState | None] | None = None
         # Called with the instance and both replies where a request that was repeated has another reply than before.
         self.on_carried_out_twice: Callable[[str, Reply, Reply], None] = lambda instance, first, second: None
-        self.links = Links(clock)
+        self.links = links
         self._latency = latency
         self._pipes = PipeNetwork()
         self._processes: dict[str, SimulatedProcess] = {}
@@ -160,12 +159,17 @@ class SimulatedControl:
         self._processes[instance] = process
         return stop
 
-    async def connect(self, address: str, process: SimulatedProcess | None = None) -> Connection:
+    async def connect(
+        self, address: str, process: SimulatedProcess | None = None, host: str | None = None
+    ) -> Connection:
+        """``host``: that of the client, which is no process of a component; None: that of the component."""
         instance = self._pipes.instance(address)
         serve = self._pipes.listeners.get(instance)
         if serve is None:
             raise Unreachable(f"no component {instance} runs")
         server = self._processes[instance]
+        if host not in (None, server.host):
+            raise Unreachable(f"no component {instance} runs on {host}")
         line = line_between(process, server)
         if self.links.is_cut(*line) or self.links.is_cut(*reversed(line)):
             raise CallTimeout(f"the line to {instance} is cut")
@@ -211,3 +215,15 @@ class ProcessControl:
 
     async def connect(self, address: str) -> Connection:
         return await self._control.connect(address, self._process)
+
+
+class ControlOfHost:
+    """Implements :class:`midstride.wire.transport.Transport` for a program on ``host`` that is no component."""
+
+    def __init__(self, control: SimulatedControl, host: str) -> None:
+        self._control, self._host = control, host
+        self.address, self.present, self.listen = control.address, control.present, control.listen
+        self.cut_lock = control.cut_lock
+
+    async def connect(self, address: str) -> Connection:
+        return await self._control.connect(address, host=self._host)

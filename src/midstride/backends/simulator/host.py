@@ -51,14 +51,14 @@ class SimulatedHost:
         self.transport: Transport | None = transport
         self.managed = False
         self.parameters: NodeParameters = KeptParameters()
-        self.now = process.clock.ros_now
-        self.message_now = process.clock.system_now
-        self.steady = process.clock.steady_ns
+        self.now = process.own_clock.ros_now
+        self.message_now = process.own_clock.system_now
+        self.steady = process.own_clock.steady_ns
         self.admission = RequestAdmission(self.steady, is_open=not find().standby)
         self.logger = logging.Logger(instance)
         self._process = process
         self._network = network
-        self._clock = process.clock
+        self._clock = process.own_clock
         self._servers: dict[str, SimulatedServer] = {}
         self._action_servers: dict[str, SimulatedActionServer] = {}
         handler = logging.StreamHandler(process.log)

@@ -1,32 +1,77 @@
-"""The lines between simulated hosts, which can be cut: what is sent meanwhile arrives when they are back, as on TCP."""
+"""The lines between simulated hosts: they can be cut, and be slow or lossy.
+
+What is sent over a line that is cut arrives when it is back, as on TCP, and what is lost is sent again.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import math
+import random
 from collections.abc import Callable
+from typing import Final
 
 from midstride.backends.simulator.virtual_clock import SimulatedClock
 
+# How long it takes until what was lost is sent again (s).
+SENT_AGAIN: Final = 0.2
+
 
 class Links:
-    """A line is that from one host to another one, by their names; the way back is another line."""
+    """A line is that from one host to another one, by their names; the way back is another line.
 
-    def __init__(self, clock: SimulatedClock) -> None:
+    ``random``: what is lost is drawn from it.
+    """
+
+    def __init__(self, clock: SimulatedClock, random: random.Random) -> None:
         self._clock = clock
-        self._cut: dict[tuple[str, str], float] = {}  # until when (steady s)
+        self.random = random
+        self._cut: dict[tuple[str, str], tuple[float, float]] = {}  # since when, and until when (steady s)
         self._held: dict[Callable[[], None], asyncio.TimerHandle] = {}
+        self._delays: dict[tuple[str, str], float] = {}
+        self._losses: dict[tuple[str, str], float] = {}
 
     def cut(self, sender: str, receiver: str, seconds: float) -> None:
         """Cut the line for ``seconds`` from now on."""
-        line = sender, receiver
-        self._cut[line] = max(self._cut.get(line, 0.0), self._clock.steady() + seconds)
+        line, now = (sender, receiver), self._clock.steady()
+        since, until = self._cut.get(line, (now, 0.0))
+        self._cut[line] = (since if until > now else now), max(until, now + seconds)
+
+    def slow(self, sender: str, receiver: str, seconds: float) -> None:
+        """Have each message over the line take so many seconds longer from now on."""
+        self._delays[sender, receiver] = seconds
+
+    def lose(self, sender: str, receiver: str, part: float) -> None:
+        """Lose this part of what is sent over the line, drawn at random, from now on."""
+        self._losses[sender, receiver] = part
 
     def is_cut(self, sender: str, receiver: str) -> bool:
-        return self._cut.get((sender, receiver), 0.0) > self._clock.steady()
+        return bool(self._cut) and self._until(sender, receiver) > self._clock.steady()
+
+    def cut_since(self, sender: str, receiver: str) -> float:
+        """Since when the line is cut (steady s); infinite where it is not."""
+        since, until = self._cut.get((sender, receiver), (math.inf, 0.0))
+        return since if until > self._clock.steady() else math.inf
+
+    @property
+    def any_cut(self) -> bool:
+        """Return whether a line has been cut since all were cleared."""
+        return bool(self._cut)
+
+    def _until(self, sender: str, receiver: str) -> float:
+        return self._cut.get((sender, receiver), (0.0, 0.0))[1]
+
+    def loses(self, sender: str, receiver: str) -> bool:
+        """Return whether a datagram that is sent over the line now is lost."""
+        part = self._losses.get((sender, receiver), 0.0)
+        return self.is_cut(sender, receiver) or (part > 0 and self.random.random() < part)
 
     def deliver(self, sender: str, receiver: str, latency: float, arrive: Callable[[], None]) -> None:
-        """Call ``arrive`` after ``latency`` seconds, or when the line is back."""
-        left = self._cut.get((sender, receiver), 0.0) - self._clock.steady()
+        """Call ``arrive`` after ``latency`` seconds; or later, when the line is back and nothing is lost any more."""
+        latency += self._delays.get((sender, receiver), 0.0)
+        while (part := self._losses.get((sender, receiver), 0.0)) > 0 and self.random.random() < part:
+            latency += SENT_AGAIN
+        left = self._until(sender, receiver) - self._clock.steady() if self._cut else 0.0
         if left <= 0:
             self._clock.loop.call_later(latency, arrive)
             return
@@ -38,8 +83,10 @@ class Links:
         self._held[arrived] = self._clock.loop.call_later(left + latency, arrived)
 
     def clear(self) -> None:
-        """Every line is back."""
+        """Every line is back, and as fast and sure as before."""
         self._cut.clear()
+        self._delays.clear()
+        self._losses.clear()
         for arrived, handle in list(self._held.items()):
             handle.cancel()
             self._clock.loop.call_soon(arrived)

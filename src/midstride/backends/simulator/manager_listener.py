@@ -9,6 +9,7 @@ from midstride.backends.last_message import EVERY, KEPT, LastMessage
 from midstride.backends.simulator.network import Network, SimulatedReader
 from midstride.model.contract import Predicate, QoS
 from midstride.runtime.backend_protocol import HeardMessage
+from midstride.wire.pipe import MEMORY
 
 # The full name of the manager's node.
 MANAGER: Final = "/_midstride_manager"
@@ -17,6 +18,7 @@ MANAGER: Final = "/_midstride_manager"
 class _Manager:
     """The owner of the manager's endpoints."""
 
+    on = MEMORY
     node = MANAGER
     thawed_at = 0.0
 

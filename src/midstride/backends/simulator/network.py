@@ -12,8 +12,10 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
+from midstride.backends.simulator.links import Links
 from midstride.backends.simulator.message_copy import copied
 from midstride.backends.simulator.service_network import ServiceNetwork
 from midstride.backends.simulator.simulated_process import THAW_INTERVAL, SimulatedProcess
@@ -22,7 +24,12 @@ from midstride.model.contract import QoS
 
 
 class EndpointOwner(Protocol):
-    """The owner of an endpoint: the name of its ROS node, and until when it is frozen (steady s; 0: it is not)."""
+    """The owner of an endpoint: its host, the name of its ROS node, and until when it is frozen (steady s; 0: it is
+    not).
+    """
+
+    @property
+    def on(self) -> str: ...
 
     @property
     def node(self) -> str: ...
@@ -124,6 +131,7 @@ class Network:
 
     def __init__(self, clock: SimulatedClock, latency: float, jitter: float, discovery: float, seed: int) -> None:
         self.clock = clock
+        self.links = Links(clock, random.Random(seed))  # between the hosts
         self.latency = latency
         self.discovery = discovery
         self.topics: dict[str, SimulatedTopic] = {}
@@ -187,7 +195,8 @@ class Network:
         if not readers or writer.known[0] == readers:
             return writer.known[1]
         matched = [reader for reader in readers if self._matched(writer, reader)]
-        if max(writer.created, *(reader.created for reader in readers)) + self.discovery <= self.clock.steady():
+        found = max(writer.created, *(reader.created for reader in readers)) + self.discovery <= self.clock.steady()
+        if found and not self.links.any_cut:
             writer.known = list(readers), matched
         return matched
 
@@ -197,6 +206,11 @@ class Network:
 
     def _matched(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
         known = max(writer.created, reader.created) + self.discovery
+        if self.links.any_cut and known > min(
+            self.links.cut_since(writer.owner.on, reader.owner.on),
+            self.links.cut_since(reader.owner.on, writer.owner.on),
+        ):
+            return False  # they find each other once the line is back
         return known <= self.clock.steady() and _compatible(writer, reader)
 
     def shows_probe(self, owner: SimulatedProcess, topic: str) -> bool:
@@ -215,7 +229,7 @@ class Network:
             return  # destroyed, or its process is gone
         writer.number += 1
         self.on_publish(writer)
-        info = (self.clock.system_now(), writer.number, writer.identity)
+        info = (writer.owner.own_clock.system_now(), writer.number, writer.identity)
         if writer.qos.is_transient_local:
             writer.history.append((copied(message), info))
         if topic.dropping:
@@ -228,7 +242,9 @@ class Network:
     def _send(
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
     ) -> None:
-        now = self.clock.steady()
+        now, line = self.clock.steady(), (writer.owner.on, reader.owner.on)
+        if not writer.qos.is_reliable and self.links.loses(*line):
+            return
         at = now + self.drawn_latency() + self.topic(writer.topic).delay + extra
         waiting = self._in_flight.setdefault((writer, reader), deque())
         if waiting:
@@ -236,7 +252,7 @@ class Network:
         # A copy for each: what a process does to its message is not seen by others.
         waiting.append((at, copied(message), info))
         writer.in_flight += 1
-        self.clock.loop.call_later(at - now, self._arrive, writer, reader)
+        self.links.deliver(*line, at - now, partial(self._arrive, writer, reader))
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
         thawed_at = reader.owner.thawed_at

@@ -12,7 +12,7 @@ from typing import Final
 
 from midstride.backends.simulator.cooperative_thread import CooperativeThread, Sleeps, ThreadYield
 from midstride.backends.simulator.simulated_program import ProcessOutput, SimulatedProgram
-from midstride.backends.simulator.virtual_clock import SimulatedClock
+from midstride.backends.simulator.virtual_clock import HostClock, SimulatedClock
 from midstride.errors import BackendError
 from midstride.model.instance_names import full_name
 from midstride.node import process_context
@@ -60,7 +60,8 @@ class SimulatedProcess:
         # Its full name in the graph: ``front/camera`` is node ``camera`` in ``/front``, whatever the namespace.
         self.node = full_name(launch.instance, launch.namespace)
         # The host that it is on. Components of two hosts share no lock: their locks of a cut do not exclude each other.
-        self.on = MEMORY
+        self.host, self.on = launch.host, launch.host or MEMORY
+        self.own_clock: SimulatedClock | HostClock = clock  # that of its host
         self._on_exit = on_exit
         self._program = self._new_program(launch)
         self._queue: deque[Callable[[], object]] = deque()

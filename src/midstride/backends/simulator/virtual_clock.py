@@ -119,6 +119,50 @@ class SimulatedClock:
         await asyncio.sleep(seconds)
 
 
+class HostClock:
+    """The clocks of a host: those of ``base``, ``ahead`` by so much (s), and fast by ``drift`` (s for each s).
+
+    The steady one is as fast, and is read on its own host alone. What ``/clock`` drives is the same on every host; the
+    two are not to be combined, since the history of ``/clock`` is kept on the steady clock of ``base``.
+    """
+
+    def __init__(self, base: SimulatedClock, ahead: float = 0.0, drift: float = 0.0) -> None:
+        self._base = base
+        self._ahead, self._drift = round(ahead * 1e9), drift
+
+    @property
+    def driven(self) -> bool:
+        return self._base.driven
+
+    @property
+    def history(self) -> ClockHistory:
+        return self._base.history
+
+    @property
+    def loop(self) -> asyncio.AbstractEventLoop:
+        return self._base.loop
+
+    @property
+    def timers(self) -> dict[SimulatedTimer, None]:
+        return self._base.timers
+
+    def steady_ns(self) -> int:
+        steady = self._base.steady_ns()
+        return steady + round(steady * self._drift)
+
+    def system_now(self) -> int:
+        return EPOCH + self._ahead + self.steady_ns()
+
+    def ros_now(self) -> int:
+        return self._base.ros_now() if self._base.driven else self.system_now()
+
+    def loop_time(self, ros: int) -> float:
+        """The time on the loop's clock at which the ROS clock here reads ``ros``."""
+        if self._base.driven:
+            return self._base.loop_time(ros)
+        return self._base.loop_time(EPOCH + round((ros - EPOCH - self._ahead) / (1 + self._drift)))
+
+
 class SimulatedTimer:
     """Implements :class:`midstride.node.component_host.Timer`: skips slots while the data thread is busy.
 
@@ -127,7 +171,7 @@ class SimulatedTimer:
 
     def __init__(
         self,
-        clock: SimulatedClock,
+        clock: SimulatedClock | HostClock,
         enqueue: Callable[[Callable[[], None]], None],
         period: int,
         epoch: int | None,

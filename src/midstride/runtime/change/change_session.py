@@ -11,7 +11,6 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Final
 
 from msgspec import UNSET, UnsetType, structs
@@ -107,11 +106,17 @@ class ChangeSession:
         if not specification.hosts:
             return
         known = set(self._unreached)
-        found = await self.backend.reach_hosts(specification.hosts, self.client.token, partial(self.events.add, "note"))
+        client = self.client
+        found = await self.backend.reach_hosts(specification.hosts, client.token, self._on_host, client.superseded)
         self._unreached = dict(found)
         for host, because in found.items():
             if host not in known:
                 self.events.add("note", f"host {host} cannot be reached: {because}")
+
+    def _on_host(self, words: str) -> None:
+        """A host has been lost, or is reached again: what could not be done on it may be possible now."""
+        self.events.add("note", words)
+        self.reconciler.reconcile_soon()
 
     async def change(
         self,

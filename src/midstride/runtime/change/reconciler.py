@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Coroutine, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from midstride.errors import CommandRefused, MidstrideError, internal_error
+from midstride.errors import BackendError, CommandRefused, MidstrideError, internal_error
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
@@ -236,6 +236,10 @@ class Reconciler:
                 log.exception("reconciling failed")
                 self.events.add("note", f"reconciling failed: {internal_error(error)}")
 
+    def reconcile_soon(self) -> None:
+        """Reconcile in the background, unless a command is changing the system, which does so at its end."""
+        self._reconcile_soon()
+
     async def reconcile_crashes(self) -> None:
         """Reconcile if a component has crashed, and wait for a reconciliation in progress."""
         if self.system.life.exits or self._reconciling.locked():
@@ -253,6 +257,7 @@ class Reconciler:
         Those that cannot be degraded are ``pending``, with the error.
         """
         async with self._reconciling:
+            await self._end_left()
             configuration = self.system.configuration
             exits = self.system.life.exits
             crashed = self.system.life.take_exited(configuration.instances)
@@ -285,6 +290,14 @@ class Reconciler:
             if reached := {ref: index for ref, index in to_lower.items() if ref not in failed}:
                 self.system.moved(self.system.configuration.with_modes(reached))
             self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
+
+    async def _end_left(self) -> None:
+        """End what a change has left on a host that could not be reached then."""
+        for name in self.system.life.left_on_hosts(self.system.configuration.instances):
+            with contextlib.suppress(BackendError):  # nor can it now
+                await self.launcher.kill(name)
+                self.store.remove_instance(name)
+                self.events.add("note", f"{name} could not be terminated before, and has been now")
 
     def _take_over_reported(
         self, configuration: Configuration

@@ -66,10 +66,15 @@ class ComponentHello(Frame, frozen=True, kw_only=True, tag="component"):
 
 
 class Accepted(Frame, frozen=True, kw_only=True, tag="accepted"):
-    """The client's first frame is accepted; ``refused``: why it is not. ``gone``: nothing listens there."""
+    """The client's first frame is accepted; ``refused``: why it is not. ``gone``: nothing listens there.
+
+    ``seen``: the number of the last event that a manager is not sent. A manager that has just begun is sent none of
+    those before it, which are about processes that it has not known; nor may it be, when it connects again.
+    """
 
     refused: str | None = None
     gone: bool = False
+    seen: int = 0
 
 
 class CallFrame(Frame, frozen=True, kw_only=True, tag="call"):

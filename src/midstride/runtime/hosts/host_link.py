@@ -29,7 +29,7 @@ from midstride.runtime.hosts.host_order import HostOrder, HostReport
 from midstride.runtime.hosts.ssh_connection import HostFault, SshConnection
 from midstride.runtime.timeouts import within
 from midstride.wire.frames import INVALID, OLDEST, PROTOCOL, SPOKEN
-from midstride.wire.sockets import SocketConnection, open_socket
+from midstride.wire.sockets import SocketConnection
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -45,7 +45,8 @@ CALL_SECONDS: Final = 30.0
 
 class HostLink:
     """``order``: what the host is asked to serve. ``folder``: of the local sockets. ``token``: the system's, as it is
-    when a connection is made. ``reads``: the link is no manager's, and changes nothing there.
+    when a connection is made. ``reads``: the link is no manager's, and changes nothing there. ``superseded``: whether
+    another manager has taken over, whose link a connection of this one would end: then none is made any more.
 
     ``on_exit`` is called with each exit there, ``on_change`` when the link is up or down, with words.
     """
@@ -60,11 +61,12 @@ class HostLink:
         on_change: Callable[[str], object] = lambda _: None,
         *,
         reads: bool = False,
+        superseded: Callable[[], bool] = lambda: False,
         connect: Callable[[HostSpec, Path], SshConnection] = SshConnection,
     ) -> None:
         self.host, self._order, self._folder, self._token = host, order, folder, token
         self._on_exit, self._on_change = on_exit, on_change
-        self._reads, self._connect = reads, connect
+        self._reads, self._connect, self._superseded = reads, connect, superseded
         self.problem: str | None = "it has not been connected yet"
         self._since = time.time()  # it is connected, or not
         self.report: HostReport | None = None
@@ -103,9 +105,9 @@ class HostLink:
             await asyncio.gather(self._keeping, return_exceptions=True)
 
     async def _keep(self) -> None:
-        pause = FIRST_PAUSE
-        while True:
-            begun, why = time.monotonic(), ""
+        pause, now = FIRST_PAUSE, asyncio.get_running_loop().time
+        while not self._superseded():
+            begun, why = now(), ""
             try:
                 await self._serve_connection()
                 why = "the connection was closed"
@@ -114,7 +116,7 @@ class HostLink:
             except Exception as error:  # a fault of ours: it is tried again
                 log.exception("the link to %s failed", self.host.name)
                 why = f"{type(error).__name__}: {error}"
-            if time.monotonic() - begun > LONGEST_PAUSE:
+            if now() - begun > LONGEST_PAUSE:
                 pause = FIRST_PAUSE
             if self.problem is None:
                 self._since = time.time()
@@ -124,6 +126,8 @@ class HostLink:
             self._tried.set()
             await asyncio.sleep(pause * (1 - _DRAWN * self._random.random()))
             pause = min(2 * pause, LONGEST_PAUSE)
+        self.problem = "another manager of this system has taken over"
+        self._tried.set()
 
     async def _serve_connection(self) -> None:
         """Connect, and read until the connection ends. Raises BackendError."""
@@ -143,7 +147,7 @@ class HostLink:
                     if self._tried.is_set():
                         self._on_change(f"host {self.host.name} is reached again (before: {was})")
                     self._tried.set()
-                    await asyncio.wait({reading, ending}, return_when=asyncio.FIRST_COMPLETED)
+                    await asyncio.wait((reading, ending), return_when=asyncio.FIRST_COMPLETED)
                     if ending.done():
                         raise Unreachable(ending.result())
                     reading.result()
@@ -163,6 +167,8 @@ class HostLink:
     ) -> None:
         greeting = await _greeting(connection, reader)
         self._require(greeting)
+        if self._superseded():
+            raise HostFault("another manager of this system has taken over")
         hello: frames.FromManager = frames.ReaderHello(protocol=frames.HOST_PROTOCOL)
         if not self._reads:
             hello = frames.ManagerHello(
@@ -174,9 +180,7 @@ class HostLink:
             raise ProtocolError("the host process did not accept the manager first")
         if answer.refused is not None:
             raise HostFault(answer.refused)
-        self._was, self._uuid = self._uuid, greeting.uuid
-        if self._was != greeting.uuid:
-            self._seen = 0
+        self._was, self._uuid, self._seen = self._uuid, greeting.uuid, answer.seen
 
     def _require(self, greeting: frames.HostGreeting) -> None:
         """Raises HostFault where the host process is not the one that is meant, or speaks otherwise."""
@@ -269,7 +273,7 @@ class HostLink:
         """The control connection of a component there. Raises Unreachable where nothing listens, CallTimeout."""
         connection = self._ssh_connection()
         try:
-            reader, writer = await open_socket(connection.local, address)
+            reader, writer = await connection.channel(address)
         except Unreachable as error:  # of the forwarding: the component may listen
             raise CallTimeout(f"host {self.host.name} cannot be reached: {error}") from None
         try:
@@ -307,7 +311,7 @@ class RemoteConnection(SocketConnection):
 
 
 async def _open(connection: SshConnection) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-    return await open_socket(connection.local, f"the forwarded socket of {connection.host.name}")
+    return await connection.channel(f"the forwarded socket of {connection.host.name}")
 
 
 async def _greeting(connection: SshConnection, reader: asyncio.StreamReader) -> frames.HostGreeting:

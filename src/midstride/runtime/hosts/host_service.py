@@ -67,13 +67,13 @@ class HostService:
         self._events: deque[frames.ExitFrame] = deque(maxlen=KEPT_EVENTS)
         self._number = 0
         self._manager: _Client | None = None
-        self._left_at = time.monotonic()
+        self._left_at = backend.clock.steady()
         self._others: dict[str, OtherNodesForm] = {}
         self._others_at = 0.0
 
     async def serve(self, path: Path) -> None:
         """Serve at ``path`` until nothing is left to watch. Raises BackendError where the back end cannot be opened."""
-        await self._backend.open(self._exited)
+        await self.open()
         path.unlink(missing_ok=True)  # the caller holds the lock of the workspace
         before = os.umask(0o177)
         try:
@@ -81,20 +81,35 @@ class HostService:
         finally:
             os.umask(before)
         try:
-            while self._manager is not None or self._running or time.monotonic() - self._left_at < self._idle:
-                await asyncio.sleep(LOOK)
-                if self._manager is not None:
-                    self._manager.push(self._state())
+            await self.watch()
         finally:
             server.close()
             path.unlink(missing_ok=True)
 
+    async def open(self) -> None:
+        """Begin to watch components. Raises BackendError where the back end cannot be opened."""
+        await self._backend.open(self._exited)
+
+    async def watch(self) -> None:
+        """Return once nothing is left to watch: until then, tell the manager what changes."""
+        clock = self._backend.clock
+        while self._manager is not None or self._running or clock.steady() - self._left_at < self._idle:
+            await asyncio.sleep(LOOK)
+            if self._manager is not None:
+                self._manager.push(self._state())
+
     # -- connections ---------------------------------------------------------------------------------------
 
     async def _accepted(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if _user(writer.get_extra_info("socket")) in (0, os.getuid()):
+            await self.accepted(reader, writer)
+        else:
+            writer.close()
+
+    async def accepted(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one connection to its end."""
         try:
-            if _user(writer.get_extra_info("socket")) in (0, os.getuid()):
-                await self._serve_one(reader, writer)
+            await self._serve_one(reader, writer)
         except (OSError, ProtocolError, ValueError, asyncio.CancelledError):
             pass  # the other end is gone, or no manager
         finally:
@@ -139,7 +154,7 @@ class HostService:
         try:
             await _write(writer, frames.Accepted())
             ends = (_from_component(connection, writer), _to_component(reader, connection))
-            tasks = {asyncio.ensure_future(each) for each in ends}
+            tasks = [asyncio.ensure_future(each) for each in ends]
             try:
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             finally:
@@ -151,12 +166,12 @@ class HostService:
 
     async def _connect(self, instance: str) -> Connection:
         """A connection to a component here, which may be starting. Raises Unreachable, CallTimeout."""
-        transport, deadline = self._backend.transport, time.monotonic() + LISTEN_SECONDS
+        transport, deadline = self._backend.transport, self._backend.clock.steady() + LISTEN_SECONDS
         while True:
             try:
                 return await transport.connect(transport.address(instance))
             except Unreachable:
-                if instance not in self._running or time.monotonic() >= deadline:
+                if instance not in self._running or self._backend.clock.steady() >= deadline:
                     raise
             await asyncio.sleep(_LISTEN_INTERVAL)
 
@@ -176,8 +191,8 @@ class HostService:
             self._manager.close()
         manager = self._manager = _Client(writer)
         try:
-            manager.push(frames.Accepted())
             missed = hello.seen if hello.uuid == self._uuid else self._number
+            manager.push(frames.Accepted(seen=missed))
             for event in self._events:
                 if event.number > missed:
                     manager.push(event)
@@ -186,7 +201,7 @@ class HostService:
         finally:
             manager.close()
             if self._manager is manager:
-                self._manager, self._left_at = None, time.monotonic()
+                self._manager, self._left_at = None, self._backend.clock.steady()
 
     async def _answer_calls(
         self, client: _Client, reader: asyncio.StreamReader, allowed: tuple[type, ...] = (object,)
@@ -283,9 +298,9 @@ class HostService:
             self._manager.push(event)
 
     def _state(self) -> frames.StateFrame:
-        backend, running = self._backend, sorted(self._running)
-        if backend.shares_processes and time.monotonic() - self._others_at > LOOK_AT_NODES:
-            self._others_at = time.monotonic()
+        backend, running, now = self._backend, sorted(self._running), self._backend.clock.steady()
+        if backend.shares_processes and now - self._others_at > LOOK_AT_NODES:
+            self._others_at = now
             with contextlib.suppress(BackendError):
                 found = backend.other_nodes(running)
                 self._others = {name: OtherNodesForm.of(each) for name, each in found.items()}

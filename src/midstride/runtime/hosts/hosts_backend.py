@@ -138,6 +138,7 @@ class HostsBackend(Backend):
         self.transport = transport = HostsTransport(own.transport)
         transport.link_of = self._link_of
         self._note: Callable[[str], object] = lambda _: None
+        self._superseded: Callable[[], bool] = lambda: False
         self._token = ""
         self._links: dict[str, HostLink] = {}
         self._judged: set[str] = set()  # the hosts of which has been said what is not as it should be
@@ -160,17 +161,21 @@ class HostsBackend(Backend):
         await self._own.close()
 
     async def reach_hosts(
-        self, hosts: Mapping[str, HostSpec], token: str, note: Callable[[str], object]
+        self,
+        hosts: Mapping[str, HostSpec],
+        token: str,
+        note: Callable[[str], object],
+        superseded: Callable[[], bool],
     ) -> Mapping[str, str]:
-        self._token, self._note = token, note
-        for name, host in hosts.items():
+        self._token, self._note, self._superseded = token, note, superseded
+        for name, host in sorted(hosts.items()):
             known = self._links.get(name)
             if known is not None and known.host != host and not known.handles:
                 await known.close()
                 known = None
             if known is None:
                 self._links[name] = self._link(host)
-        await asyncio.gather(*(self._links[name].open() for name in hosts))
+        await asyncio.gather(*(self._links[name].open() for name in sorted(hosts)))
         for name in sorted(hosts):
             report = self._links[name].report
             for words in [] if report is None or name in self._judged else faults_of(report):
@@ -195,12 +200,16 @@ class HostsBackend(Backend):
         return HostLink(
             host,
             order,
-            socket_folder(self._workspace),
+            self._sockets(),
             lambda: self._token,
             self._exited,
             lambda words: self._note(words),
+            superseded=lambda: self._superseded(),
             connect=self._connect,
         )
+
+    def _sockets(self) -> Path:
+        return socket_folder(self._workspace)
 
     def problems(self) -> dict[str, str]:
         """By host that cannot be reached now: why, and what to do."""

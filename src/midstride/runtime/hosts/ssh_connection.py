@@ -23,6 +23,7 @@ from midstride.model.hosts import HostSpec
 from midstride.runtime.hosts import ssh
 from midstride.runtime.hosts.host_order import HOST_MARK, LONGEST_LINE, HostOrder, HostReport
 from midstride.runtime.timeouts import within
+from midstride.wire.sockets import open_socket
 
 # How long a login and the start of the host process there may take (s), and a forwarding (s).
 START_SECONDS: Final = 40.0
@@ -133,6 +134,10 @@ class SshConnection:
             if ssh.refuses_forwarding(text + self.errors):
                 raise HostFault(ssh.forwarding_refused())
             raise HostFault(f"its socket could not be forwarded: {ssh.last_line(text) or 'ssh said nothing'}")
+
+    async def channel(self, name: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        """A new connection to the host process; ``name`` says what for. Raises Unreachable and CallTimeout."""
+        return await open_socket(self.local, name)
 
     async def ended(self) -> str:
         """Wait until the connection has ended, and return why."""
