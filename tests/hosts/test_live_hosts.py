@@ -2,132 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import shutil
 import signal
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from midstride.runtime.process.reaper import process_info
-from tests.acceptance.support import ended
-from tests.cli.conftest import EXAMPLES, Done
-from tests.hosts.two_hosts import TwoHosts, two_hosts
+from tests.cli.conftest import EXAMPLES
+from tests.hosts.robots import Robot, robots
 
 pytestmark = [pytest.mark.ros2]
-SECONDS = 40.0
-
-
-@dataclass
-class Robot:
-    """The example `talker` with its talker on the host `arm`, and the command on the manager's host."""
-
-    hosts: TwoHosts
-    folder: Path
-    text: str
-
-    def __call__(self, *words: str, timeout: float = 90.0) -> Done:
-        command = self.hosts.inside(sys.executable, "-m", "midstride", *words)
-        done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=self.environment, cwd="/")
-        return Done(done.returncode, done.stdout, done.stderr)
-
-    @property
-    def environment(self) -> dict[str, str]:
-        return {
-            **os.environ,
-            "XDG_RUNTIME_DIR": str(self.folder / "run"),
-            "MIDSTRIDE_SSH_CONFIG": str(self.hosts.config),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
-        }
-
-    @property
-    def file(self) -> str:
-        path = self.folder / "talker" / "two.stride"
-        path.write_text(self.text)
-        return str(path)
-
-    @property
-    def status(self) -> Any:
-        done = self("status", "--json")
-        assert done.out, done.err
-        return done.json
-
-    def instance(self, role: str) -> Any:
-        (found,) = (each for each in self.status["instances"] if each["role"] == role)
-        return found
-
-    def modes(self, role: str) -> list[str]:
-        return [each["mode"] for each in self.instance(role)["functionalities"]]
-
-    def running(self, program: str) -> list[int]:
-        """The processes of this program in the test's folders, by number."""
-        found = []
-        for path in Path("/proc").glob("[0-9]*"):
-            with contextlib.suppress(OSError):
-                words = (path / "cmdline").read_bytes().split(b"\0")
-                if program.encode() in words and self.folder in (path / "cwd").resolve().parents:
-                    found.append(int(path.name))
-        return sorted(found)
-
-    def until(self, condition: Callable[[], bool], what: str, seconds: float = SECONDS) -> None:
-        deadline = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < deadline, f"{what}: {self('status').out} {self('log').out}"
-            time.sleep(0.2)
-
-    @property
-    def workspace(self) -> Path:
-        """The one of the host process."""
-        return self.folder / "far" / ".midstride" / "talker.arm"
-
-    @property
-    def host_process(self) -> int:
-        return int((self.workspace / "lock").read_text())
-
-    @property
-    def manager(self) -> int:
-        return int((self.folder / "run" / "midstride" / "talker" / "lock").read_text())
 
 
 @pytest.fixture
 def robot() -> Iterator[Robot]:
-    folder = Path(tempfile.mkdtemp(prefix="ms-"))
-    try:
-        with ended(), two_hosts(folder) as hosts:
-            for name in ("run", "far"):
-                (folder / name).mkdir(mode=0o700)
-            for name in ("talker", "far"):
-                shutil.copytree(EXAMPLES / "talker", folder / name, dirs_exist_ok=True)
-            text = (EXAMPLES / "talker" / "talker.stride").read_text()
-            text = text.replace("system talker\n", f"system talker\n{hosts.declaration(folder / 'far')}")
-            text = text.replace("node talker   : Talker ", "node talker : Talker on arm ")
-            assert " on arm " in text
-            robot = Robot(hosts, folder, text)
-            try:
-                yield robot
-            finally:
-                robot("down", timeout=60)
-                for path in (robot.workspace / "lock",):
-                    _end(int(path.read_text()) if path.exists() else None)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _end(pid: int | None) -> None:
-    """End a host process of this test."""
-    if pid is not None and (info := process_info(pid)) is not None and info.alive:
-        command = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-        if b"_host" in command:
-            os.kill(pid, signal.SIGTERM)
+    text = (EXAMPLES / "talker" / "talker.stride").read_text()
+    moved = text.replace("node talker   : Talker ", "node talker : Talker on arm ")
+    assert moved != text
+    with robots(EXAMPLES / "talker", moved) as robot:
+        yield robot
 
 
 @pytest.mark.full
@@ -216,7 +112,7 @@ def test_while_the_link_is_cut_each_side_degrades_what_relies_on_the_other_and_t
     assert "host arm cannot be reached" in robot("why", "talker.talk").out
     refused = robot("restart", "talker", "--yes")
     assert refused.status != 0 and "host arm cannot be reached" in refused.out + refused.err
-    assert set(robot.running("talker.py")) == {before["talker"], before["caller"]}  # nothing is started elsewhere
+    assert set(robot.programs("talker.py")) == {before["talker"], before["caller"]}  # nothing is started elsewhere
     log = next((robot.workspace / "logs").glob("hearer*.log"))
     robot.until(lambda: "I hear nothing" in log.read_text(), "what relies on the manager's host is degraded there")
     robot.hosts.link("up")

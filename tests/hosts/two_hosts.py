@@ -120,6 +120,13 @@ class TwoHosts:
         listening = ["nsenter", f"--net=/run/netns/{self.far}", "cat", "/proc/net/tcp"]
         return ":0016 00000000:0000 0A" in subprocess.run(listening, capture_output=True, text=True).stdout
 
+    def listening(self, side: str) -> list[str]:
+        """The local addresses of the TCP ports that listen on the host ``near`` or ``far``."""
+        name = self.near if side == "near" else self.far
+        look = ["nsenter", f"--net=/run/netns/{name}", "cat", "/proc/net/tcp", "/proc/net/tcp6"]
+        lines = subprocess.run(look, capture_output=True, text=True).stdout.splitlines()
+        return sorted(words[1] for line in lines if len(words := line.split()) > 3 and words[3] == "0A")
+
     def stop_serving(self) -> None:
         if self._server is not None:
             self._server.terminate()
