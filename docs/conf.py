@@ -33,7 +33,7 @@ NAVIGATION = {
     "Reference": [
         *(
             f"docs/reference/{page}"
-            for page in ("commands", "language", "diagnostics", "metrics", "api", "distributions")
+            for page in ("ten-commands", "commands", "language", "diagnostics", "metrics", "api", "distributions")
         ),
         "docs/http",
     ],
