@@ -191,7 +191,8 @@ def marks(name: str) -> list[pytest.MarkDecorator]:
     needed += [pytest.mark.ros2] if name in ON_ROS_2 else []
     if name in LARGE:
         return [*needed, pytest.mark.long]
-    return needed + ([pytest.mark.full] if name.startswith(("docs/how-to/", "docs/reference/ten-", "examples/")) else [])
+    later = name.startswith(("docs/how-to/", "docs/reference/ten-", "examples/"))
+    return needed + ([pytest.mark.full] if later else [])
 
 
 WITH_CODE = [
