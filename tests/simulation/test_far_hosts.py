@@ -28,7 +28,8 @@ def run(act: Act) -> None:
     """Bring the system up, and have ``act`` do something to it; no invariant may be violated meanwhile."""
     system = System(spread(), [spread()])
     violated: list[str] = []
-    system.invariants.begin(lambda: 1e9, lambda: 1e9, bool, bool, violated.append)
+    moved = ("planner", "lidar")
+    system.invariants.begin(lambda: 1e9, lambda: 1e9, bool, bool, violated.append, moved=moved)
 
     async def main() -> None:
         manager = system.new_manager()
@@ -93,6 +94,49 @@ def test_what_could_not_be_ended_on_a_host_is_ended_once_that_is_reached_again()
         assert "lidar_2" not in system.platform.processes and "lidar_2" not in system.recorded()
         assert "lidar_2 could not be terminated before, and has been now" in notes(manager)
         assert (await manager.change(PlanRequest(restart=("lidar",)), brief=True)).outcome == "done"
+
+    run(act)
+
+
+def test_a_roll_back_attaches_nothing_beside_what_may_publish_on_a_host_that_cannot_be_reached() -> None:
+    """The new instance has been attached there, and its reply was lost."""
+
+    async def act(system: System, manager: Manager) -> None:
+        async def before_request(instance: str, op: str) -> None:
+            process = system.platform.standing(instance)
+            if op != "attach" or process is None or process.role != "planner" or process.state is None:
+                return
+            if process.state.ports["objects"] and process.state.ports["map"]:
+                system.platform.network.links.cut("arm", "memory", 30.0)
+
+        system.platform.control.before_request = before_request
+        outcome = await manager.change(PlanRequest(on=(("planner", "arm"),), strategy="paper"), brief=True)
+        assert outcome.outcome == "failed"
+        assert "planner_2 could not be ended, and may publish there" in str(outcome.because)
+        system.platform.control.before_request = None
+        await asyncio.sleep(45.0)
+        done = await manager.change(PlanRequest(to=manager.specification, strategy="paper"), brief=True)
+        assert done.outcome == "done", done.because
+        assert len([each for each in system.platform.stand_ins() if each.role == "planner"]) == 1
+
+    run(act)
+
+
+def test_nothing_is_started_elsewhere_while_what_could_not_be_ended_may_run() -> None:
+    async def act(system: System, manager: Manager) -> None:
+        async def before_request(instance: str, op: str) -> None:
+            if instance == "lidar_2":
+                cut(system, "base", 30.0)
+
+        system.platform.control.before_request = before_request
+        restarted = await manager.change(PlanRequest(restart=("lidar",)), brief=True)
+        assert restarted.outcome == "failed"
+        system.platform.control.before_request = None
+        add = PlanRequest(on=(("lidar", "arm"),), strategy="paper")
+        refused = await manager.change(add, brief=True)
+        assert refused.outcome == "refused" and "lidar_2 could not be ended, and may run" in str(refused.because)
+        await asyncio.sleep(45.0)
+        assert (await manager.change(add, brief=True)).outcome == "done"
 
     run(act)
 

@@ -316,12 +316,17 @@ class LifeTable:
 
     def left_on_hosts(self, instances: Container[str]) -> list[str]:
         """The names of those that could not be terminated on another host, and are not among ``instances``."""
+        left = {ProcessState.STUCK, ProcessState.MISSING}
         return [
             name
             for name, life in self._lives.items()
-            if life.process is ProcessState.STUCK and life.handle is not None and life.handle.host
-            if name not in instances
+            if life.process in left and life.handle is not None and life.handle.host and name not in instances
         ]
+
+    def may_run(self, name: str) -> bool:
+        """True if an instance could not be terminated on another host, where it may run and publish."""
+        life = self[name]
+        return life.process is ProcessState.STUCK and life.handle is not None and bool(life.handle.host)
 
     @property
     def fenced(self) -> dict[str, FencedInstance]:

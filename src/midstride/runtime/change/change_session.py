@@ -146,7 +146,8 @@ class ChangeSession:
             plan, target = await self.planner.plan(request)
             self.store.require()
             await self.reach_hosts(target)
-            require_reached(self.backend, plan, self.system.configuration)
+            running = self.system.configuration
+            require_reached(self.backend, plan, running, self.launcher.left_on_hosts(running.instances))
             if not self.backend.hands_over_between_hosts:
                 require_no_moves(plan, self.system.configuration)
         except (PlanRefused, ManagerError, BackendError) as error:

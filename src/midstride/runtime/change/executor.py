@@ -361,7 +361,10 @@ class Executor:
         if any(isinstance(each, EndUnknown) for each in errors):
             problems.append("what has been done stays, as nothing can return to an instance that may end at any time")
             because += f"; {'; '.join(problems)}"
-        elif problems := [*problems, *await self._back.run(self._done)]:
+        elif problems := [
+            *problems,
+            *await self._back.run(self._done, [self.change.actions[each] for each in failures]),
+        ]:
             because += f"; and the roll-back failed: {'; '.join(problems)}"
         self.change.happened(ChangeEvent.NOT_UNDONE if problems else ChangeEvent.UNDONE, because)
         if isinstance(error, asyncio.CancelledError) and not problems:

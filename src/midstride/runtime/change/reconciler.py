@@ -295,7 +295,7 @@ class Reconciler:
         """End what a change has left on a host that could not be reached then."""
         for name in self.system.life.left_on_hosts(self.system.configuration.instances):
             with contextlib.suppress(BackendError):  # nor can it now
-                await self.launcher.kill(name)
+                await self.launcher.end_left(name)
                 self.store.remove_instance(name)
                 self.events.add("note", f"{name} could not be terminated before, and has been now")
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from midstride.errors import BackendError
-from midstride.model.action import Action, Create, Handover, Remove, SetParameters
+from midstride.model.action import Action, Attach, Create, Handover, Remove, SetParameters
 from midstride.model.configuration import Configuration
 from midstride.model.wording import counted
 from midstride.runtime.change.action_driver import ActionDriver
@@ -36,16 +36,17 @@ class RollBack:
     def system(self) -> RunningSystem:
         return self.performer.driver.system
 
-    async def run(self, done: DoneActions) -> list[str]:
+    async def run(self, done: DoneActions, failed: Sequence[Action] = ()) -> list[str]:
         """Undo the actions in ``done``, last first. Returns what failed; the other actions are undone.
 
         Removals in a row are carried out at once, and processes of creations in a row start side by side. An instance
-        that the change itself created is removed in any case: if it does not answer, it is killed.
+        that the change itself created is removed in any case: if it does not answer, it is killed. One that may publish
+        on a host that cannot be reached keeps its topics: ``failed`` are the actions that may have been carried out.
         """
         if not done:
             return list(self.driver.fences.problems())
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", total=len(done))
-        created = {action.instance.name for action, _ in done if isinstance(action, Create)}
+        created = {action.instance.name: action.instance.role for action, _ in done if isinstance(action, Create)}
         await self._kill(name for name in sorted(created) if self.system.life.responsive(name) is None)
         problems = list(self.driver.fences.problems())
         kept = self._taken_over(done)
@@ -58,10 +59,10 @@ class RollBack:
         for kind, actions in itertools.groupby(undoing, type):
             row = list(actions)
             if kind is Remove:
-                found = await asyncio.gather(*(self._undo(each, created) for each in row))
+                found = await asyncio.gather(*(self._undo(each, created, failed) for each in row))
             else:
                 self.starts.begin(each for each in row if isinstance(each, Create))
-                found = [await self._undo(each, created) for each in row]
+                found = [await self._undo(each, created, failed) for each in row]
                 await self.starts.stop()
             problems += filter(None, found)
         problems += self.driver.not_answering()
@@ -75,9 +76,33 @@ class RollBack:
         swaps = [swap for action, _ in done if isinstance(action, Handover) for swap in action.swaps]
         return {*fenced, *(swap.new.instance for swap in swaps if swap.old.instance in fenced)}
 
-    async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
+    def _publishes_elsewhere(self, undoing: Action, created: Mapping[str, str], failed: Sequence[Action]) -> str | None:
+        """An instance on a host that cannot be reached which may publish what ``undoing`` attaches an output for."""
+        configuration, life = self.system.configuration, self.system.life
+        if not isinstance(undoing, Attach):
+            return None
+        undone = configuration.instances.get(undoing.port.instance)
+        if undone is None or not configuration.is_output(undoing.port):
+            return None
+        for name, role in sorted(created.items()):
+            if role != undone.role or not life.may_run(name):
+                continue
+            if name not in configuration.instances:  # nothing has attached it
+                continue
+            attached = [port for port, _ in configuration.attached_ports(name)]
+            attached += [action.port for action in failed if isinstance(action, Attach) and name in action.instances()]
+            taking = any(isinstance(action, Handover) and name in action.instances() for action in failed)
+            if taking or any(map(configuration.is_output, attached)):
+                return name
+        return None
+
+    async def _undo(self, undoing: Action, created: Mapping[str, str], failed: Sequence[Action]) -> str | None:
         """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns, and says, why."""
         what = undoing.describe(self.system.configuration)
+        if (other := self._publishes_elsewhere(undoing, created, failed)) is not None:
+            problem = f"{what}: {other} could not be ended, and may publish there"
+            self.driver.events.add("rollback_failed", f"the roll-back is incomplete: {problem}")
+            return problem
         if isinstance(undoing, SetParameters) and self.driver.settings.left_as_set(undoing):
             return None
         while True:

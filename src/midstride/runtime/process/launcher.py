@@ -88,6 +88,7 @@ class Launcher:
         self._options = options
         self.pending = PendingStarts(backend)
         self._components: dict[str, ComponentSpec] = {}  # of the processes that it has started or adopted
+        self._roles: dict[str, str] = {}  # of the instances that it has started
         self._asked: dict[str, float] = {}  # how long these take to end, as they have said (s)
         self._unfinished: dict[str, str] = {}  # in which way the `on_stop` of those that end has failed
         self._life = client.life
@@ -173,6 +174,7 @@ class Launcher:
             self._life.started(name, None)
             return True
         self._components[name] = instance.started
+        self._roles[name] = instance.role
         try:
             launch = launch_of(
                 instance,
@@ -348,6 +350,17 @@ class Launcher:
         """Kill a component that does not answer: it counts as one that has exited. Raises as ``end``."""
         await self._end(name, KILL_AT_ONCE)
         self._life.exited(Exited(name, None), ProcessEvent.KILLED)
+
+    def left_on_hosts(self, instances: Container[str]) -> dict[str, Handle]:
+        """By role: an instance that could not be ended on another host, and is not among ``instances``."""
+        life = self._life
+        left = [(name, life[name].handle) for name in life.left_on_hosts(instances)]
+        return {self._roles.get(name, name): handle for name, handle in left if handle is not None}
+
+    async def end_left(self, name: str) -> None:
+        """End at once an instance that could not be ended before. Raises BackendError where it cannot be now either."""
+        await self._end(name, KILL_AT_ONCE)
+        self._life.record(name, ProcessEvent.ENDED)
 
     async def _end(self, name: str, stop: StopTimes) -> None:
         self._client.forget_revision(name)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from immutables import Map
+
 from midstride.errors import PlanRefused
 from midstride.model.action import Create
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.plan import Plan
-from midstride.runtime.backend_protocol import Backend
+from midstride.runtime.backend_protocol import Backend, Handle
 
 
 def out_of_reach(backend: Backend, specification: Specification) -> str | None:
@@ -21,11 +25,20 @@ def out_of_reach(backend: Backend, specification: Specification) -> str | None:
     )
 
 
-def require_reached(backend: Backend, plan: Plan, configuration: Configuration) -> None:
+def require_reached(
+    backend: Backend, plan: Plan, configuration: Configuration, left: Mapping[str, Handle] = Map()
+) -> None:
     """Raises PlanRefused where a step of ``plan`` changes an instance on a host that cannot be reached now.
 
-    Nothing is known of that instance, so the change could be neither carried out nor rolled back.
+    Nothing is known of that instance, so the change could be neither carried out nor rolled back. ``left``: by role, an
+    instance that could not be ended on its host, and may run there: nothing takes its place before.
     """
+    for step in plan.steps:
+        if isinstance(step.action, Create) and (handle := left.get(step.action.instance.role)) is not None:
+            raise PlanRefused(
+                f"{step.action.instance.role} cannot be started now: {handle.instance} could not be ended, and may run "
+                f"on host {handle.host}; it is ended once that can be reached"
+            )
     lost = {each.host: each.problem for each in backend.host_links() if each.problem is not None}
     if not lost:
         return
