@@ -126,11 +126,11 @@ def _start_not_recorded(patch: pytest.MonkeyPatch) -> None:
 def _roll_back_not_recorded(patch: pytest.MonkeyPatch) -> None:
     """An instance that a roll-back starts again is not recorded (the simulation has found this one)."""
 
-    async def undo(self: Any, undoing: Any, created: Any) -> str | None:
+    async def undo(self: Any, undoing: Any, created: Any, failed: Any) -> str | None:
         if isinstance(undoing, Create):
             await self.performer.perform(undoing)
             return None
-        return await original(self, undoing, created)
+        return await original(self, undoing, created, failed)
 
     original = roll_back.RollBack._undo
     plant(patch, roll_back.RollBack, "_undo", undo)
