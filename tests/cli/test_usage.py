@@ -141,6 +141,8 @@ def test_a_plan_without_steps_reports_nothing_to_do(capsys: pytest.CaptureFixtur
         (["plan", TALKER, "--add", "second"], "`second` is not of the form 'NODE COMPONENT PORT=TOPIC…'"),
         (["plan", TALKER, "--to", TALKER, "--remove", "talker"], "--to cannot be combined with --replace"),
         (["simulate", "--seed", "3", "--seeds", "9"], "--seed runs this one only: leave --seeds out"),
+        (["simulate", TALKER, "--system", "spread"], "--system names a built-in system: leave FILE or --system out"),
+        (["simulate", "--on", "talker=arm"], "pass the FILE of the system to change"),
         (["simulate", "--seed", "3", "--jobs", "2"], "--seed runs this one only: leave --jobs out"),
         (["export", TALKER, "--system", "talker"], "--system is for the running system: leave FILE out"),
         (["export", TALKER, "--schema"], "--schema is that of every specification: leave FILE and --system out"),

@@ -418,7 +418,7 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
     for function, words in (
         (_acknowledgement_dropped, "resumed before it learned"),
         (_resumed_without_lock, "are both heard on"),
-        (_written_without_lock, "is open on"),
+        (_written_without_lock, "are both heard on"),
         (_lease_not_checked, "are both heard on"),
         (_lost_start_left, "without faults"),
         (_exits_repeated, "is said to have exited, and runs"),

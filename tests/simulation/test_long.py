@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from midstride.simulation.campaign import Summary, simulate_many
-from midstride.simulation.faults import KINDS
+from midstride.simulation.faults import KINDS, OF_LINKS
 from tests.simulation.planted import PLANTED, planted
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(0)]
@@ -37,7 +37,7 @@ def show(name: str, lines: Iterable[str], capsys: pytest.CaptureFixture[str]) ->
 def matrix(summary: Summary) -> list[str]:
     """Fault by kind of step: how many strikes ended in each of ``BRANCHES``, and ``-`` where none struck."""
     lines = [f"| fault | {' | '.join(STEPS)} |", f"|---|{'---|' * len(STEPS)}"]
-    for fault in KINDS:
+    for fault in (*KINDS, *OF_LINKS):
         cells = []
         for step in STEPS:
             counts = [summary.cells[fault, step, branch] for branch in BRANCHES]
@@ -66,6 +66,16 @@ def test_no_seed_violates_an_invariant_and_every_cell_of_the_matrix_is_reached(
     ]
     assert not empty or SEEDS < 20000
     assert not any(summary.cells[fault, step, "refused"] for fault in KINDS for step in STEPS), "it had begun"
+
+
+def test_no_seed_on_several_hosts_violates_an_invariant(capsys: pytest.CaptureFixture[str]) -> None:
+    summary, begun, seeds = Summary(), time.perf_counter(), SEEDS // 4
+    for run in simulate_many(range(seeds), jobs=len(os.sched_getaffinity(0)), name="spread"):
+        summary.add(run)
+    failed = [f"midstride simulate --system spread --seed {run.seed}: {run.problems[0]}" for run in summary.failed]
+    rate = f"{seeds} seeds on several hosts in {time.perf_counter() - begun:.0f} s"
+    show("hosts", [*matrix(summary), "", rate, *failed], capsys)
+    assert not failed
 
 
 def test_planted_faults_are_found(capsys: pytest.CaptureFixture[str]) -> None:

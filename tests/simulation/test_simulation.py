@@ -58,6 +58,9 @@ print([run.digest for run in simulate_many({seeds!r})])
         ("acknowledgement dropped", 0),
         ("dependants not lowered", 0),
         ("removal not recorded", 0),
+        # Of the system on several hosts.
+        ("exits repeated", 40),
+        ("unreachable taken for crashed", 40),
         # Of the system with services and ROS actions.
         ("both answer", 80),
         ("answered again", 80),

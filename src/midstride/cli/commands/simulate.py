@@ -90,7 +90,7 @@ def _scenario(file: Path | None, change: dict[str, Any]) -> Scenario | None:
     from midstride.simulation.scenario import rehearsed
 
     if file is None:
-        if any(change[name] for name in ("to", "replaced", "restarted", "added", "removed")):
+        if any(change[name] for name in ("to", "replaced", "restarted", "added", "removed", "moved")):
             raise click.UsageError("pass the FILE of the system to change")
         return None
     request = replace(decode_request(planned_change(**change)), to=None if change["to"] is None else load(change["to"]))
