@@ -316,6 +316,31 @@ def test_what_may_have_been_started_as_the_link_broke_is_ended(tmp_path: Path, m
     run(body())
 
 
+def test_what_was_ended_as_the_link_broke_has_exited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, _):
+            end = far.platform.end
+
+            async def ended(instance: str, stop: StopTimes) -> list[RemainingProcess]:
+                far.near.down = "it is cut"
+                _cut(backend)
+                await asyncio.sleep(0.02)
+                return await end(instance, stop)
+
+            await backend.start(launch("a"))
+            await backend.start(launch("b"))
+            monkeypatch.setattr(far.platform, "end", ended)
+            with pytest.raises(EndUnknown, match="whether a runs there is not known"):
+                await backend.end("a", DEFAULT_STOP)
+            far.near.down = None
+            await until(lambda: exits)
+            assert [each.instance for each in exits] == ["a"] and "as it was asked to" in exits[0].words
+
+    run(body())
+
+
 def _cut(backend: HostsBackend) -> None:
     """End the connection to the host, as a link does that is cut."""
     if (writer := backend._links["arm"]._writer) is not None:

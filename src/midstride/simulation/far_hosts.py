@@ -50,7 +50,7 @@ SILENCE: Final = 5.0
 LOOK: Final = 0.5
 # By how much the clock of a host is ahead of the manager's (s), and how fast it is (s for each s).
 OFFSETS: Final = (0.0, 0.0003, -0.02, 0.15, -0.6)
-DRIFTS: Final = (0.0, 5e-5, -5e-5, 5e-4, -0.01)
+DRIFTS: Final = (0.0, 5e-5, -5e-5, 5e-4, -5e-4)
 
 
 def drawn_clocks(hosts: Iterable[str], clock: SimulatedClock, seed: int) -> dict[str, HostClock]:

@@ -68,25 +68,25 @@ class Links:
 
     def deliver(self, sender: str, receiver: str, latency: float, arrive: Callable[[], None]) -> None:
         """Call ``arrive`` after ``latency`` seconds; or later, when the line is back and nothing is lost any more."""
-        latency += self._delays.get((sender, receiver), 0.0)
-        while (part := self._losses.get((sender, receiver), 0.0)) > 0 and self.random.random() < part:
-            latency += SENT_AGAIN
-        left = self._until(sender, receiver) - self._clock.steady() if self._cut else 0.0
-        if left <= 0:
+        if not self.is_cut(sender, receiver):
+            latency += self._delays.get((sender, receiver), 0.0)
+            while (part := self._losses.get((sender, receiver), 0.0)) > 0 and self.random.random() < part:
+                latency += SENT_AGAIN
             self._clock.loop.call_later(latency, arrive)
             return
 
-        def arrived() -> None:
-            del self._held[arrived]
-            arrive()
+        def back() -> None:
+            del self._held[back]
+            self.deliver(sender, receiver, latency, arrive)
 
-        self._held[arrived] = self._clock.loop.call_later(left + latency, arrived)
+        left = self._until(sender, receiver) - self._clock.steady()
+        self._held[back] = self._clock.loop.call_later(left, back)
 
     def clear(self) -> None:
         """Every line is back, and as fast and sure as before."""
         self._cut.clear()
         self._delays.clear()
         self._losses.clear()
-        for arrived, handle in list(self._held.items()):
+        for back, handle in list(self._held.items()):
             handle.cancel()
-            self._clock.loop.call_soon(arrived)
+            self._clock.loop.call_soon(back)

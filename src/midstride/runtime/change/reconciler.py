@@ -263,6 +263,8 @@ class Reconciler:
             crashed = self.system.life.take_exited(configuration.instances)
             for name in exits:  # also one that the model has no more: another process may get its name
                 self.client.disconnect(name)
+                if name not in configuration.instances:
+                    self.store.remove_instance(name)
             for name in crashed:
                 self.system.gone(configuration.instances[name])
                 self.store.write_apart(self.system.apart)  # first: a manager that is killed in between finds it

@@ -72,6 +72,7 @@ class HostLink:
         self.report: HostReport | None = None
         self.state = frames.StateFrame()
         self.handles: dict[str, HandleForm] = {}  # of the components that run there, as far as is known
+        self._ending: set[str] = set()  # the components that a call in progress ends
         self.lost: set[str] = set()  # those of which it is not known whether they were started: they are to end
         self._ssh: SshConnection | None = None
         self._writer: asyncio.StreamWriter | None = None
@@ -196,12 +197,17 @@ class HostLink:
             )
 
     async def _compare(self) -> None:
-        """With another host process than before: have it watch what runs; what does not has ended meanwhile."""
-        if self._was == self._uuid or not self.handles:
-            return
+        """Have the host process watch what runs; what does not has ended meanwhile.
+
+        Another host process than before knows nothing of it. The same one may have ended it for a call whose result was
+        lost.
+        """
+        same = self._was == self._uuid
+        how = "the link was down to" if same else "`midstride host` did not run on"
         for handle in list(self.handles.values()):
-            if not await self.call(calls.Adopt(handle=handle), bool):
-                words = f"{handle.instance} has ended while `midstride host` did not run on {self.host.name}"
+            runs = await self.call(calls.Adopt(handle=handle), bool)
+            if not runs and handle.instance not in self._ending and handle.instance in self.handles:
+                words = f"{handle.instance} has ended while {how} {self.host.name}"
                 self._exited(ExitedForm(instance=handle.instance, because=words))
 
     async def _end_lost(self) -> None:
@@ -254,6 +260,8 @@ class HostLink:
         number = self._number
         waiting: asyncio.Future[frames.ResultFrame] = asyncio.get_running_loop().create_future()
         self._calls[number] = waiting
+        if isinstance(call, calls.End):
+            self._ending.add(call.instance)
         try:
             self._writer.write(frames.encode(frames.CallFrame(number=number, call=call)) + b"\n")
             async with within(seconds) if seconds is not None else contextlib.nullcontext():
@@ -262,6 +270,8 @@ class HostLink:
             raise CallTimeout(f"host {self.host.name} has not answered within {seconds:g} s") from None
         finally:
             self._calls.pop(number, None)
+            if isinstance(call, calls.End):
+                self._ending.discard(call.instance)
         if answer.failed is not None:
             raise error_of(answer.kind, f"{answer.failed} (on host {self.host.name})")
         try:

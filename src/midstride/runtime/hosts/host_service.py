@@ -225,6 +225,9 @@ class HostService:
             result = frames.ResultFrame(number=frame.number, failed=internal_error(error), kind=BackendError.__name__)
         if client is self._manager:
             client.push(self._state())
+        elif isinstance(frame.call, calls.End) and result.failed is None:  # the manager has another connection now
+            name = frame.call.instance
+            self._exited(Exited(name, None, because=f"{name} was ended, as it was asked to before the link broke"))
         client.push(result)
 
     # -- calls ---------------------------------------------------------------------------------------------
@@ -236,6 +239,8 @@ class HostService:
                 return await self._start(call)
             case calls.Describe():
                 return list(backend.describe(call.launch.launch(self._directory)).command)
+            case calls.Adopt() if call.handle.instance in self._running:
+                return True
             case calls.Adopt():
                 runs = await backend.adopt(call.handle.handle(""))
                 if runs:
