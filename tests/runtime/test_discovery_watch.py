@@ -1,4 +1,4 @@
-"""A component whose middleware stands still is noticed, shown, and replaced before what it must hear or be heard by."""
+"""A component whose middleware has stopped discovering is noticed, shown, and replaced before its peers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which nodes a change replaces before all others: those whose middleware stands still, where it concerns them."""
+"""A change replaces nodes whose middleware has stopped discovering before all others, where it concerns them."""
 
 from __future__ import annotations
 

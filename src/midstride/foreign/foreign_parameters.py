@@ -101,7 +101,7 @@ class ForeignParameters:
         elif new := {name: own[name] for name in own if name in late and name not in record.started_with}:
             self._node.change_record(started_with={**record.started_with, **new})
         started_with = self._node.record.started_with or {}
-        of_modes = {name for functionality in self._node.component for name in functionality.parameters()}
+        of_modes = {name for functionality in self._node.component for name in functionality.mode_parameters()}
         self._node.note_settings()
         self._node.parameters = values
         self._node.declared = {

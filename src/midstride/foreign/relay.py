@@ -214,7 +214,7 @@ class RelayComponent:
         for functionality in component:
             self.parts.functionalities[functionality.name] = self._functionality(functionality)
         self.parts.callbacks.setup = self._set_up
-        of_modes = any(functionality.parameters() for functionality in component)
+        of_modes = any(functionality.mode_parameters() for functionality in component)
         if platform.parameters is not None:
             self.parts.callbacks.set_parameters = self._set_parameters
             self.parts.callbacks.before_modes = self._before_modes if of_modes else None

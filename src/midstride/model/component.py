@@ -256,7 +256,7 @@ class FunctionalitySpec:
                 return index
         raise KeyError(name)
 
-    def parameters(self) -> frozenset[str]:
+    def mode_parameters(self) -> frozenset[str]:
         """The names of the parameters that any mode sets."""
         return frozenset(name for mode in self.modes for name in mode.parameters)
 
@@ -267,7 +267,7 @@ class FunctionalitySpec:
         """
         if mode is self.modes[-1] and not mode.parameters:
             return {}
-        return {name: mode.parameters.get(name, values[name]) for name in sorted(self.parameters())}
+        return {name: mode.parameters.get(name, values[name]) for name in sorted(self.mode_parameters())}
 
     def meaning(self) -> tuple[object, ...]:
         """Everything it declares, regardless of the order of its ports and assumptions."""

@@ -68,7 +68,7 @@ def gate_problems(component: ComponentSpec, path: SubjectPath) -> Iterator[Probl
         yield Problem(_CODE, (*path, "gate"), message, help)
     for functionality in component:
         for mode in functionality.modes[1:-1]:
-            if not functionality.parameters():
+            if not functionality.mode_parameters():
                 where = (*path, "functionalities", functionality.name, "modes", mode.name)
                 message = f"mode {mode.name} of {functionality.name} does the same as the normal mode"
                 help = "with a gate, state what differs: `parameters { … }`; the gate is closed in the last mode only"
