@@ -18,10 +18,12 @@ from midstride.foreign.preloading import StartedPrograms
 from midstride.foreign.services import NoAnswer
 from midstride.lang.load import load
 from midstride.model.component import StopTimes
+from midstride.model.hosts import OWN_HOST
 from midstride.model.instance_names import full_name
 from midstride.runtime.backend_protocol import Exited, Handle, Launch, RemainingProcess
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
+from midstride.wire.pipe import MEMORY
 from midstride.wire.transport import Connection, Serve, StopListening
 
 T = TypeVar("T")
@@ -148,9 +150,10 @@ class SimulatedNode:
 
 
 class _Process:
-    """A process that is never frozen."""
+    """A process of the manager's host that is never frozen."""
 
     runs = True
+    host, on = OWN_HOST, MEMORY
 
     async def wait_while_frozen(self) -> None:
         pass
