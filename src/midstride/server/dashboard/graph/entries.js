@@ -37,5 +37,5 @@ export function crashedComponent({ name, role }) {
   const namespace = `/${slash < 0 ? "" : name.slice(0, slash)}`;
   const nothing = { container: null, process: null, node: null, pid: null, host: null, waiting: null, deviation: null, ending: false, done: false, simulated_time: false, run: null, log_file: null };
   const none = { differences: [], undeclared: [], other_nodes: [], other_nodes_unknown: null, functionalities: [], ports: [], parameters: [], endpoints: [] };
-  return { name, role: role ?? name, component: "exited", namespace, reachable: false, answers: false, as_modelled: false, ...nothing, ...none };
+  return { name, role: role ?? name, component: "exited", namespace, reachable: false, unreachable: false, answers: false, as_modelled: false, ...nothing, ...none };
 }

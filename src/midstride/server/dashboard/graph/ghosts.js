@@ -110,6 +110,7 @@ function newComponent(create, view) {
     node: null,
     pid: null,
     reachable: true,
+    unreachable: false,
     answers: true,
     ending: false,
     done: false,
