@@ -1,4 +1,4 @@
-"""What open dashboards cost the data plane: the swap of benchmarks/swap.py on real ROS 2, with and without five tabs.
+"""What open dashboards cost the data plane: the hand-over of benchmarks/swap on real ROS 2, with and without five tabs.
 
 One system, one manager, one recorder; swaps in blocks that take turns, so that what else the machine does strikes all:
 without a client; with five clients of the live view that draw nothing, as a robot has them whose page is open
@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
@@ -29,87 +28,47 @@ from playwright.sync_api import Browser, sync_playwright
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
+sys.path.append(str(HERE.parent))
+
 from dashboard import spent  # noqa: E402
-from swap import TAIL, Platform, Way, recorded, specification, summary  # noqa: E402
 
-from midstride.codec.specification_form import encode_specification  # noqa: E402
+from benchmarks.swap import hosts  # noqa: E402
+from benchmarks.swap.judging import judged  # noqa: E402
+from benchmarks.swap.measure import Window  # noqa: E402
+from benchmarks.swap.streams import Host, Stream, recording  # noqa: E402
+from benchmarks.swap.summary import COUNTS, summary  # noqa: E402
+from benchmarks.swap.systems import NAME, System, with_api  # noqa: E402
 
-SYSTEM = "swap_benchmark"
-COLUMNS = ("way", "swaps", "gap_median", "gap_p99", "gap_max", "missed", "lost", "duplicates")
+STREAM = Stream()
+COLUMNS = ("watched by", "swaps", "gap_median", "gap_max", *COUNTS)
 # How long a page may take to show its graph on a busy machine, and rests before it is measured (s).
 PATIENCE, SETTLE = 60.0, 3.0
 # Longer than any block (s).
 FOREVER = 3600
 
 
-class System:
-    """The benchmark's system, brought up by the command line, and changed over HTTP."""
-
-    def __init__(self, platform: Platform, folder: Path) -> None:
-        self._environment = {**platform.env, "XDG_RUNTIME_DIR": str(folder)}
-        self._file = folder / "swap.json"
-        self._file.write_text(json.dumps(encode_specification(specification(platform))))
-        self._component, self._other = "OtherSource", "Source"
-        self._folder = folder / "midstride" / SYSTEM
-
-    def command(self, *words: str) -> list[str]:
-        return [sys.executable, "-m", "midstride", *words]
-
-    @contextmanager
-    def up(self) -> Iterator[None]:
-        up = self.command("up", str(self._file), "--backend", "ros2", "--detach")
-        subprocess.run(up, env=self._environment, check=True, stdout=subprocess.DEVNULL, timeout=120)
-        try:
-            yield
-        finally:
-            down = self.command("down", "--system", SYSTEM)
-            subprocess.run(down, env=self._environment, check=False, stdout=subprocess.DEVNULL, timeout=120)
-
-    @property
-    def socket(self) -> Path:
-        return self._folder / "manager.sock"
-
-    @property
-    def manager(self) -> int:
-        return int((self._folder / "lock").read_text())
-
-    @contextmanager
-    def gateway(self) -> Iterator[str]:
-        words = ["nice", "-n", "10", *self.command("dashboard", SYSTEM, "--no-browser")]
-        process = subprocess.Popen(words, env=self._environment, stdout=subprocess.PIPE, text=True)
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            url = re.search(r"http://\S+", line)
-            if url is None:
-                raise SystemExit(f"the gateway has not begun: {line}")
-            yield url[0]
-        finally:
-            process.terminate()
-            process.wait()
-
-    def swap(self, way: Way, url: str) -> None:
-        """By the API, as every client."""
-        time.sleep(TAIL)
-        begun = time.monotonic_ns()
-        outcome = change(url, {"request": {"replace": [["source", self._component]]}})
-        way.windows.append((begun, time.monotonic_ns()))
-        way.own.extend(outcome["swaps"])
-        way.lost_seconds.append(sum(outcome["below_baseline_seconds"].values()))
-        if outcome["outcome"] == "done":
-            self._component, self._other = self._other, self._component
-        elif outcome["outcome"] == "rolled_back":
-            way.rolled_back.append(str(outcome["because"]))
-        else:
-            raise SystemExit(f"{way.name}: {outcome['because']}")
+@contextmanager
+def gateway(system: System) -> Iterator[str]:
+    """The address of a gateway to the system's dashboard, which runs inside."""
+    process = system.command("dashboard", NAME, "--no-browser", preexec_fn=lambda: os.nice(10))
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        url = re.search(r"http://\S+", line)
+        if url is None:
+            raise SystemExit(f"the gateway has not begun: {line}")
+        yield url[0]
+    finally:
+        process.terminate()
+        process.wait()
 
 
-def change(url: str, document: dict[str, Any]) -> dict[str, Any]:
-    address, _, token = url.partition("/?token=")
-    headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
-    request = urllib.request.Request(f"{address}/api/v1/change", json.dumps(document).encode(), headers)
-    with urllib.request.urlopen(request, timeout=120) as answer:
-        return dict(json.load(answer))
+def swap(system: System) -> Window:
+    """By the API, as every client."""
+    time.sleep(STREAM.tail)
+    begun = time.monotonic_ns()
+    outcome = system.change()
+    return Window(begun, time.monotonic_ns(), None if outcome.outcome == "done" else str(outcome.because))
 
 
 @contextmanager
@@ -138,25 +97,26 @@ def tabs(browser: Browser, url: str, number: int) -> Iterator[None]:
     context.close()
 
 
-def measure(options: argparse.Namespace, platform: Platform, chromium: str) -> tuple[list[Way], list[float]]:
-    """The ways, and the share of a core that the manager took in each."""
+def measure(options: argparse.Namespace, host: Host, chromium: str) -> list[dict[str, Any]]:
+    """A row for each kind of watching: the figures of its swaps, and the share of a core that the manager took."""
     number = options.tabs
-    ways = [Way("no tab"), Way(f"{number} streams"), Way(f"{number} tabs")]
-    taken, lasted = [0.0] * len(ways), [0.0] * len(ways)
+    names = ["no tab", f"{number} streams", f"{number} tabs"]
+    windows: list[list[Window]] = [[] for _ in names]
+    taken, lasted = [0.0] * len(names), [0.0] * len(names)
     with ExitStack() as context:
         folder = Path(context.enter_context(tempfile.TemporaryDirectory(prefix="ms")))
-        system = System(platform, folder)
-        context.enter_context(recorded(ways[0], platform))
+        system = System(host, with_api(host.nodes, STREAM), folder)
+        recorded = context.enter_context(recording(host, STREAM, folder / "rows.jsonl"))
         context.enter_context(system.up())
-        url = context.enter_context(system.gateway())
+        url = context.enter_context(gateway(system))
         launcher = folder / "chromium"
         launcher.write_text(f'#!/bin/sh\nexec nice -n 10 {chromium} "$@"\n')
         launcher.chmod(0o700)
         playwright = context.enter_context(sync_playwright())
         browser = playwright.chromium.launch(executable_path=launcher, args=["--no-sandbox"])
         context.callback(browser.close)
-        for block in range(len(ways) * options.blocks):
-            place = (block + block // len(ways)) % len(ways)  # each round begins with another one
+        for block in range(len(names) * options.blocks):
+            place = (block + block // len(names)) % len(names)  # each round begins with another one
             watching: AbstractContextManager[None] = [
                 nullcontext(),
                 streams(system, number),
@@ -165,13 +125,26 @@ def measure(options: argparse.Namespace, platform: Platform, chromium: str) -> t
             with watching:
                 time.sleep(SETTLE)
                 begun, before = time.monotonic(), spent(system.manager)
-                for _ in range(options.swaps):
-                    system.swap(ways[place], url)
+                windows[place] += [swap(system) for _ in range(options.swaps)]
                 taken[place] += spent(system.manager) - before
                 lasted[place] += time.monotonic() - begun
-    for way in ways:
-        way.rows = ways[0].rows
-    return ways, [one / other for one, other in zip(taken, lasted, strict=True)]
+    rows = []
+    for name, own, spent_, seconds in zip(names, windows, taken, lasted, strict=True):
+        back = [each.taken_back for each in own if each.taken_back is not None]
+        figures = [judged(recorded.rows, each.begun, each.ended, STREAM.period) for each in own]
+        found = summary(figures, STREAM.period, len(back))
+        rows.append(
+            {
+                "watched by": name,
+                "swaps": len(found.gaps),
+                "gap_median": found.median,
+                "gap_max": max(found.gaps),
+                **found.counts,
+                "taken_back": back,
+                "manager": spent_ / seconds,
+            }
+        )
+    return rows
 
 
 def main() -> None:
@@ -186,21 +159,14 @@ def main() -> None:
     if chromium is None:
         print("skipped: Chromium is not installed (tools/browser)")
         return
-    from _tuned import tuned_environment
-
     os.environ.setdefault("ROS_DOMAIN_ID", "87")
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.update(tuned_environment(dict(os.environ)))
-    platform = Platform("ros2", sys.executable, HERE / "_swap_nodes.py", "std_msgs/msg/String", dict(os.environ))
-    ways, shares = measure(options, platform, chromium)
-    print("  ".join(f"{column:>10}" for column in COLUMNS) + "  manager, of a core")
-    rows = []
-    for way, share in zip(ways, shares, strict=True):
-        row = summary(way)
-        rows.append({**row, "manager": share})
+    with hosts.ros2() as host:
+        rows = measure(options, host, chromium)
+    print("  ".join(f"{column:>11}" for column in COLUMNS) + "  manager, of a core")
+    for row in rows:
         cells = [f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in (row[name] for name in COLUMNS)]
-        print("  ".join(f"{cell:>10}" for cell in cells) + f"{100 * share:>18.1f} %")
-        for because in row["rolled_back"]:
+        print("  ".join(f"{cell:>11}" for cell in cells) + f"{100 * row['manager']:>18.1f} %")
+        for because in row["taken_back"]:
             print(f"            one was taken back: {because}")
     options.out.parent.mkdir(exist_ok=True)
     options.out.write_text(json.dumps({"load": os.getloadavg()[0], "results": rows}, indent=1))

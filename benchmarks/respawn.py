@@ -23,15 +23,20 @@ from typing import Any
 
 from _guard import guard
 from _recorder import recording
-from swap import Platform, specification
 
 from midstride import backends
+from midstride.lang.load import load_text
 from midstride.model.respawn import RespawnPolicy
 from midstride.runtime.manager import Manager
 from midstride.runtime.options import SystemOptions
 from midstride.runtime.workspace import Workspace
 
 FOLDER = Path(__file__).resolve().parent
+sys.path.append(str(FOLDER.parent))
+
+from benchmarks.swap.streams import Stream  # noqa: E402
+from benchmarks.swap.systems import with_api  # noqa: E402
+
 # How long anything may take (s), on a busy machine.
 PATIENCE = 120.0
 # How long it runs before the next kill (s).
@@ -70,8 +75,7 @@ async def crash(manager: Manager, heard: list[float]) -> dict[str, float]:
 
 
 async def measure(crashes: int, options: SystemOptions) -> list[dict[str, float]]:
-    platform = Platform("ros2", sys.executable, FOLDER / "_swap_nodes.py", "std_msgs/msg/String", dict(os.environ))
-    wanted = specification(platform)
+    wanted = load_text(with_api(FOLDER / "swap" / "programs" / "nodes.py", Stream())).require()
     wanted = wanted.with_node(replace(wanted.nodes["source"], respawn=POLICY))
     with tempfile.TemporaryDirectory(prefix="ms") as folder:
         workspace = Workspace(Path(folder))

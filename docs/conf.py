@@ -38,7 +38,7 @@ NAVIGATION = {
         "docs/http",
     ],
     "Explanation": [
-        *(f"docs/{page}" for page in ("semantics", "architecture", "assurance", "benchmarks")),
+        *(f"docs/{page}" for page in ("semantics", "architecture", "assurance", "benchmarks", "swap-comparison")),
         *(f"docs/{page}" for page in ("decisions/README", "paper", "glossary")),
         "CHANGELOG",
     ],

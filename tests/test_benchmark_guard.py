@@ -69,3 +69,10 @@ def test_a_benchmark_that_starts_processes_ends_them(path: Path) -> None:
     program = path.read_text(encoding="utf-8")
     starts = path.stem not in SIMULATED and not STARTERS.isdisjoint(imported(program))
     assert not starts or "    guard()\n" in program
+
+
+@pytest.mark.parametrize("folder", sorted(path.parent for path in BENCHMARKS.glob("*/__main__.py")))
+def test_a_benchmark_of_several_files_does_so_too(folder: Path) -> None:
+    starts = any(not STARTERS.isdisjoint(imported(path.read_text(encoding="utf-8"))) for path in folder.glob("*.py"))
+    program = (folder / "__main__.py").read_text(encoding="utf-8")
+    assert not starts or "    guard()\n" in program

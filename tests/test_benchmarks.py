@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 # Where the packages are that a benchmark imports.
 FOLDERS = {"midstride": ROOT / "src", "tests": ROOT, "benchmarks": ROOT}
-PROGRAMS = sorted((ROOT / "benchmarks").glob("*.py"))
+PROGRAMS = sorted((ROOT / "benchmarks").rglob("*.py"))
 
 
 def is_ours(module: str) -> bool:
@@ -40,23 +40,27 @@ def names_of(source: Path) -> Iterator[str]:
         yield from (each.stem for each in source.parent.iterdir())
 
 
-def missing(program: str) -> list[str]:
-    """What a program imports of ours, and is not there."""
+def missing(program: str, package: str = "benchmarks") -> list[str]:
+    """What a program of a package imports of ours, and is not there."""
     found = []
     for node in ast.walk(ast.parse(program)):
         if isinstance(node, ast.Import):
             found += [each.name for each in node.names if is_ours(each.name) and source_of(each.name) is None]
-        elif isinstance(node, ast.ImportFrom) and node.module and is_ours(node.module):
-            source = source_of(node.module)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            module = f"{package}.{node.module}" if node.level == 1 else node.module
+            if not is_ours(module):
+                continue
+            source = source_of(module)
             names = set() if source is None else {*names_of(source)}
             if source is None or "__getattr__" not in names:
-                found += [f"{node.module}.{each.name}" for each in node.names if each.name not in names]
+                found += [f"{module}.{each.name}" for each in node.names if each.name not in names]
     return found
 
 
-@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: str(path.relative_to(ROOT / "benchmarks")))
 def test_what_a_benchmark_imports_is_there(path: Path) -> None:
-    assert missing(path.read_text(encoding="utf-8")) == []
+    package = ".".join(path.relative_to(ROOT).parent.parts)
+    assert missing(path.read_text(encoding="utf-8"), package) == []
 
 
 def test_what_is_not_there_is_found() -> None:
@@ -66,6 +70,7 @@ import json, midstride.runtime.workspace, midstride.runtime.gone, tests.gone, _t
 from benchmarks._guard import guard, gone
 from tests.native import compiled, uncompiled
 from tests.plan import systems, system
+from .check import ROOT, roots
 
 def main():
     from midstride.backends.ros2.dds_profiles import choose, tuned
@@ -78,6 +83,7 @@ def main():
         "benchmarks._guard.gone",
         "tests.native.uncompiled",
         "tests.plan.system",
+        "benchmarks.check.roots",
         "midstride.backends.ros2.dds_profiles.tuned",
         "_gone.x",
     ]

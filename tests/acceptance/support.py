@@ -1,4 +1,4 @@
-"""Whole systems on real ROS 2: the specification of benchmarks/swap.py, a bare recorder, and an end for everything."""
+"""Whole systems on real ROS 2: the specification of benchmarks/swap, a bare recorder, and an end for everything."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ import threading
 import time
 import uuid
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
-from midstride.model.contract import QoS
+from benchmarks.swap.streams import Stream
+from benchmarks.swap.systems import with_api
+from midstride.lang.load import load_text
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -39,7 +40,7 @@ from tests.backends.ros2_support import tuned_environment
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "benchmarks"
-NODES = BENCHMARKS / "_swap_nodes.py"
+NODES = BENCHMARKS / "swap" / "programs" / "nodes.py"
 PERIOD = 0.02
 # How many messages wait for a subscriber here (20 s). With ROS's default of ten, one that gets no processor for 0.2 s
 # loses messages that were published, and that every other subscriber has: that is no fault of a hand-over.
@@ -67,14 +68,8 @@ def benchmark(name: str) -> ModuleType:
 
 
 def swap_specification(queue: int = QUEUE) -> Specification:
-    """The specification of benchmarks/swap.py; ``queue``: how many messages wait for its subscriber."""
-    swap = benchmark("swap")
-    platform = swap.Platform("ros2", sys.executable, NODES, "std_msgs/msg/String", dict(os.environ))
-    specification: Specification = swap.specification(platform)
-    sink = specification.components["Sink"]
-    heard = replace(sink.inputs["in"], qos=QoS(depth=queue))
-    sink = replace(sink, inputs=sink.inputs.set("in", heard), run=f"{sink.run} {queue}")
-    return replace(specification, components=specification.components.set("Sink", sink))
+    """The specification of benchmarks/swap; ``queue``: how many messages wait for its subscriber."""
+    return load_text(with_api(NODES, Stream(1 / PERIOD), queue)).require()
 
 
 @contextlib.contextmanager
@@ -100,14 +95,14 @@ class Recorder:
     def __init__(self, folder: Path) -> None:
         self._path = folder / "recorded.json"
         self._process = subprocess.Popen(
-            [sys.executable, str(NODES), "recorder", str(self._path), str(QUEUE)],
+            [sys.executable, str(NODES), "recorder", str(self._path), str(QUEUE), "middleware"],
             env=tuned_environment(dict(os.environ)),
             start_new_session=True,  # what is left of it is ended as a group, which must not be that of the tests
         )
 
     def wait_until_it_hears(self, seconds: float = 90.0) -> None:
         deadline = time.monotonic() + seconds
-        while not self._path.exists():
+        while not (self._path.exists() and self._path.stat().st_size):
             assert time.monotonic() < deadline, "the recorder hears nothing"
             assert self._process.poll() is None, "the recorder has ended"
             time.sleep(0.02)
@@ -119,7 +114,7 @@ class Recorder:
     def stop(self) -> list[Receipt]:
         self._process.send_signal(signal.SIGTERM)
         assert self._process.wait(timeout=20) == 0
-        return [Receipt(*row) for row in json.loads(self._path.read_text())]
+        return [Receipt(*json.loads(line)) for line in self._path.read_text().splitlines()]
 
 
 class ClockSource:

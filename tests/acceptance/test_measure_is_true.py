@@ -212,7 +212,8 @@ def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Pa
 async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:
     """Two sources on one topic, the second behind its gate; the gates are moved in ``order``, 60 ms apart."""
     async with rig(folder) as r:
-        script = NODES.read_text()
+        script = f"import runpy, sys; sys.path.insert(0, {str(NODES.parent)!r}); "
+        script += f"runpy.run_path({str(NODES)!r}, run_name='__main__')\n"
         for name in ("first", "second"):
             await r.start(name, script, "source", name)
         await r.start("sink", script, "sink")
