@@ -101,6 +101,9 @@ class Robot:
     def host_process(self) -> int:
         return int((self.workspace / "lock").read_text())
 
+    def host_runs(self) -> bool:
+        return (self.workspace / "host.sock").exists()
+
     @property
     def manager(self) -> int:
         return int((self.folder / "run" / "midstride" / self.system / "lock").read_text())

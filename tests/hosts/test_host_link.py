@@ -6,7 +6,7 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Collection, Container, Coroutine
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,9 @@ class Platform(Backend):
         return [RemainingProcess(7, "sleep", stop.longest)]
 
     async def end_orphans(self, token: str, known: Container[str], stop: StopTimes) -> list[str]:
-        return []
+        orphans = sorted(name for name in self.running if name not in known)
+        self.running.difference_update(orphans)
+        return orphans
 
     def middleware(self) -> Middleware:
         return Middleware(name="none")
@@ -362,6 +364,24 @@ def test_another_host_process_finds_the_components_that_run_and_names_those_that
             (gone,) = exits
             assert gone.instance == "b" and "while `midstride host` did not run on arm" in gone.words
             await backend.end("a", DEFAULT_STOP)
+
+    run(body())
+
+
+def test_another_host_process_ends_what_the_one_before_has_started_and_could_tell_nobody_of(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, notes):
+            await backend.start(launch("a"))
+            await backend.start(replace(launch("here"), host=""))  # which the host may see, as one computer can be two
+            await far.kill()
+            _cut(backend)
+            far.platform.running |= {"started", "here"}
+            await far.run()
+            await until(lambda: "started" not in far.platform.running and not backend.problems())
+            assert far.platform.running == {"a", "here"} and exits == []
+            assert "started, which was being started on host arm, was ended there" in notes
 
     run(body())
 

@@ -11,11 +11,12 @@ from immutables import Map
 from msgspec import UNSET
 
 from midstride.backends.simulator import Simulator
-from midstride.errors import ManagerError, PlanRefused
+from midstride.errors import EndUnknown, ManagerError, PlanRefused
+from midstride.model.component import StopTimes
 from midstride.model.hosts import HostSpec
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime.backend_protocol import Handle, HostLinkState, Launch
+from midstride.runtime.backend_protocol import Handle, HostLinkState, Launch, RemainingProcess
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.status_forms import HostStatus
 from midstride.runtime.workspace import Workspace
@@ -46,6 +47,12 @@ class Hosts(OneHost):
     def __init__(self) -> None:
         super().__init__()
         self.lost: set[str] = set()
+        self.unknown = False  # whether a process has ended
+
+    async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
+        if self.unknown:
+            raise EndUnknown(f"whether {instance} runs is not known")
+        return await super().end(instance, stop)
 
     def host_links(self) -> list[HostLinkState]:
         problem = "is it switched on?"
@@ -143,6 +150,28 @@ def test_the_nodes_of_a_host_that_cannot_be_reached_are_unreachable_and_not_cras
         assert outcome.because == ("talker_2 cannot be changed now: host arm cannot be reached: is it switched on?")
         assert (await manager.change(PlanRequest(restart=("listener",)))).outcome == "done"
         assert {each.instance for each in platform.launches} == {"talker", "listener", "listener_2"}
+
+    managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
+
+
+def test_what_a_change_has_left_half_done_on_a_host_is_taken_back_once_that_is_possible(
+    tmp_path: Path,
+) -> None:
+    platform = Hosts()
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        platform.unknown = True
+        outcome = await manager.change(PlanRequest(replace=(("talker", "NewTalker"),)))
+        assert outcome.outcome == "failed"
+        assert {*manager.configuration.instances} == {"talker", "talker_2", "listener"}
+        await simulator.clock.sleep(5.0)  # it is tried, in vain
+        assert len(manager.configuration.instances) > 2
+        platform.unknown = False
+        await simulator.clock.sleep(20.0)
+        assert {each.component.name for each in manager.configuration.instances.values()} == {"Talker", "Listener"}
+        found = await manager.status()
+        assert found.valid and found.condition.state == "up"
+        assert any("roll back talker failed" in each.words for each in manager.events.since())
 
     managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
 

@@ -29,7 +29,7 @@ class PlanRequest:
     ``explain``: a plan that is only shown says what it would cost to keep what it degrades.
     ``restore``: only raise these functionalities of instances, to these modes. ``parameters``: only set these values at
     run time, by role. ``on``: the host that a role is to run on, by the words for hosts; without another component, it
-    moves.
+    moves. ``half_done``: roles of which a change that could not be rolled back has left two instances; one stays.
     """
 
     replace: tuple[tuple[str, str], ...] = ()
@@ -47,6 +47,7 @@ class PlanRequest:
     parameters: tuple[tuple[str, Map[str, ParameterValue]], ...] = ()
     explain: bool = False
     on: tuple[tuple[str, str], ...] = ()
+    half_done: tuple[str, ...] = ()
 
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""
@@ -88,7 +89,7 @@ class PlanRequest:
         for role in self.remove:
             require("node", role, target.nodes)
             target = target.without_node(role)
-        for role in self.restart:
+        for role in (*self.restart, *self.half_done):
             require("node", role, target.nodes)
         for role, name in self.replace:
             require("node", role, target.nodes)
@@ -150,7 +151,7 @@ class PlanRequest:
 
     def roles(self) -> list[str]:
         """The roles that are named."""
-        return [*self.remove, *self.replaced(), *(node.role for node in self.add)]
+        return [*self.remove, *self.replaced(), *(node.role for node in self.add), *self.half_done]
 
     def renewed(self, target: Specification) -> list[str]:
         """The roles of ``target`` that get a new instance in any case: where everything is stopped, all that run."""
@@ -198,6 +199,7 @@ class PlanRequest:
         ]
         words += [f"move {role} to {hosts[role]}" for role in self.moved()]
         words += [f"add {node.role} ({node.component})" for node in self.add]
+        words += [f"roll back {role}" for role in self.half_done]
         if self.to is not None:
             words.append(f"apply {self.to.name}")
         settings = [

@@ -57,6 +57,7 @@ from midstride.runtime.restore.bring_up import BringUp
 from midstride.runtime.restore.half_done import HALF_DONE
 from midstride.runtime.restore.respawner import Respawner
 from midstride.runtime.restore.restoring import Restorer
+from midstride.runtime.restore.returned_hosts import ReturnedHosts
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.view import status
 from midstride.runtime.view.instance_status import parameters
@@ -118,6 +119,7 @@ class Manager:
         self._session = session = ChangeSession(reconciler, backend, journal, verifier or Verifier())
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
+        self._returned = ReturnedHosts(system, clock, events, reconciler, session)
         self.watched = WatchedSystem(session, self._respawner, self._restorer, options.spares)
         launcher.on_killed = lambda name, seconds, words, unfinished: events.add(
             "killed", words, instance=name, seconds=seconds, unfinished=unfinished
@@ -127,7 +129,8 @@ class Manager:
         events.listeners += [journal.note, self._while_watching]
         commands.listeners += [self._watch.look_soon, self._keep_spares]
         reconciler.observers += [self._respawner, self._restorer]
-        client.listeners += [part.on_component_event for part in (launcher, self._programs, reconciler, self._restorer)]
+        listening = (launcher, self._programs, reconciler, self._restorer, self._returned)
+        client.listeners += [part.on_component_event for part in listening]
 
     def _while_watching(self, event: Event) -> None:
         """Start the next spare process while a change only watches: the command that comes next finds it ready."""
@@ -228,6 +231,7 @@ class Manager:
         await self._session.others.close()
         await self._respawner.close()
         await self._restorer.close()
+        await self._returned.close()
         await self._session.permission.close()
         await self._reconciler.close()
         await self._programs.close()
@@ -244,6 +248,7 @@ class Manager:
         """
         before = self.events.last
         self._restorer.stop()
+        self._returned.stop()
         self._respawner.stop()  # also a restart in progress: it is rolled back
         async with self._reconciler.command("down", id):
             self._spares = 0

@@ -167,7 +167,7 @@ def _search(request: PlanRequest, now: _Situation) -> tuple[Plan, Specification]
         planned = replace(target, constraints=(*target.constraints, *now.orders))
     if request.to is not None and not keep:
         configuration = _as_set(configuration, now.values)
-    if request.to is None and len(request.roles()) == 1:
+    if request.to is None and len(request.roles()) == 1 and not request.half_done:
         change = requested_change(configuration, specification, request, planned, now.measured, now.apart)
     else:
         renewed, same = request.renewed(planned), request.same_process

@@ -12,7 +12,7 @@ import contextlib
 import logging
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -48,6 +48,7 @@ class HostLink:
     when a connection is made. ``reads``: the link is no manager's, and changes nothing there. ``superseded``: whether
     another manager has taken over, whose link a connection of this one would end: then none is made any more.
 
+    ``known``: the instances of the system on all hosts, which are never orphans; two hosts may be one computer.
     ``on_exit`` is called with each exit there, ``on_change`` when the link is up or down, with words.
     """
 
@@ -60,13 +61,14 @@ class HostLink:
         on_exit: Callable[[Exited], object],
         on_change: Callable[[str], object] = lambda _: None,
         *,
+        known: Callable[[], Iterable[str]] = tuple,
         reads: bool = False,
         superseded: Callable[[], bool] = lambda: False,
         connect: Callable[[HostSpec, Path], SshConnection] = SshConnection,
     ) -> None:
         self.host, self._order, self._folder, self._token = host, order, folder, token
         self._on_exit, self._on_change = on_exit, on_change
-        self._reads, self._connect, self._superseded = reads, connect, superseded
+        self._known, self._reads, self._connect, self._superseded = known, reads, connect, superseded
         self.problem: str | None = "it has not been connected yet"
         self._since = time.time()  # it is connected, or not
         self.report: HostReport | None = None
@@ -91,7 +93,7 @@ class HostLink:
 
     @property
     def connected(self) -> bool:
-        return self._writer is not None
+        return self._writer is not None and self.problem is None
 
     async def open(self) -> None:
         """Return once the first attempt is over; from then on the link is kept up. See ``problem``."""
@@ -143,6 +145,7 @@ class HostLink:
                 ending = asyncio.ensure_future(connection.ended())
                 try:
                     await self._compare()
+                    await self._end_orphans()
                     await self._end_lost()
                     was, self.problem, self._since = self.problem, None, time.time()
                     if self._tried.is_set():
@@ -205,15 +208,24 @@ class HostLink:
         same = self._was == self._uuid
         how = "the link was down to" if same else "`midstride host` did not run on"
         for handle in list(self.handles.values()):
-            runs = await self.call(calls.Adopt(handle=handle), bool)
+            runs = await self._call(calls.Adopt(handle=handle), bool)
             if not runs and handle.instance not in self._ending and handle.instance in self.handles:
                 words = f"{handle.instance} has ended while {how} {self.host.name}"
                 self._exited(ExitedForm(instance=handle.instance, because=words))
 
+    async def _end_orphans(self) -> None:
+        """With another host process than before: end what the one before has started, and could tell nobody of."""
+        if self._reads or not self._was or self._was == self._uuid:
+            return
+        names = sorted({*self._known(), *self.handles})
+        call = calls.EndOrphans(token=self._token(), known=names, stop=StopTimesForm.of(KILL_AT_ONCE))
+        for instance in await self._call(call, list[str]):
+            self._on_change(f"{instance}, which was being started on host {self.host.name}, was ended there")
+
     async def _end_lost(self) -> None:
         """End what may have been started as the link broke: nobody has waited for it."""
         for instance in sorted(self.lost):
-            await self.call(calls.End(instance=instance, stop=StopTimesForm.of(KILL_AT_ONCE)), list[RemainingForm])
+            await self._call(calls.End(instance=instance, stop=StopTimesForm.of(KILL_AT_ONCE)), list[RemainingForm])
             self.lost.discard(instance)
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
@@ -249,13 +261,18 @@ class HostLink:
 
     def require_connected(self) -> None:
         """Raises Unreachable, with why the host cannot be reached."""
-        if self._writer is None:
-            raise Unreachable(f"host {self.host.name} cannot be reached: {self.problem}")
+        if not self.connected:
+            raise Unreachable(f"host {self.host.name} cannot be reached: {self.problem or 'the connection was closed'}")
 
     async def call(self, call: calls.HostCall, result: type[T], seconds: float | None = CALL_SECONDS) -> T:
         """Carry out a call there. Raises what its back end has raised; Unreachable, CallTimeout: it is not known."""
         self.require_connected()
-        assert self._writer is not None
+        return await self._call(call, result, seconds)
+
+    async def _call(self, call: calls.HostCall, result: type[T], seconds: float | None = CALL_SECONDS) -> T:
+        """Carry out a call, also before the link counts as connected: first of all, what runs there is compared."""
+        if self._writer is None:
+            raise Unreachable(f"the connection to host {self.host.name} ended meanwhile")
         self._number += 1
         number = self._number
         waiting: asyncio.Future[frames.ResultFrame] = asyncio.get_running_loop().create_future()

@@ -115,6 +115,22 @@ def remove_socket_folder(workspace: Workspace) -> None:
         folder.unlink(missing_ok=True)
 
 
+def order_for(system: str, host: HostSpec, own: Backend, *, middleware_settings: bool) -> HostOrder:
+    """What a manager with the back end ``own`` asks of the host process of ``host``."""
+    variables = {name: os.environ[name] for name in SHARED_VARIABLES if name in os.environ} | {
+        name: value for name, value in own.reach().items() if name in SHARED_VARIABLES
+    }
+    return HostOrder(
+        protocol=HOST_PROTOCOL,
+        system=system,
+        host=host.name,
+        backend=own.name,
+        folder=host.folder,
+        middleware_settings=middleware_settings,
+        variables=variables,
+    )
+
+
 class HostsBackend(Backend):
     """``own``: the back end of this host. ``workspace``: the one of the system here, whose name is that of the system.
 
@@ -143,6 +159,7 @@ class HostsBackend(Backend):
         self._links: dict[str, HostLink] = {}
         self._judged: set[str] = set()  # the hosts of which has been said what is not as it should be
         self._host_of: dict[str, str] = {}  # by instance, those of other hosts
+        self._here: set[str] = set()  # the instances that have been started on this host
         self._on_exit: Callable[[Exited], object] = lambda _: None
         self._spares = (0, "")
         self._tasks: set[asyncio.Task[object]] = set()
@@ -185,18 +202,7 @@ class HostsBackend(Backend):
         return self.problems()
 
     def _link(self, host: HostSpec) -> HostLink:
-        variables = {name: os.environ[name] for name in SHARED_VARIABLES if name in os.environ} | {
-            name: value for name, value in self._own.reach().items() if name in SHARED_VARIABLES
-        }
-        order = HostOrder(
-            protocol=HOST_PROTOCOL,
-            system=self._workspace.name,
-            host=host.name,
-            backend=self.name,
-            folder=host.folder,
-            middleware_settings=self._middleware_settings,
-            variables=variables,
-        )
+        order = order_for(self._workspace.name, host, self._own, middleware_settings=self._middleware_settings)
         return HostLink(
             host,
             order,
@@ -204,6 +210,7 @@ class HostsBackend(Backend):
             lambda: self._token,
             self._exited,
             lambda words: self._note(words),
+            known=lambda: (*self._here, *self._host_of),
             superseded=lambda: self._superseded(),
             connect=self._connect,
         )
@@ -241,6 +248,7 @@ class HostsBackend(Backend):
 
     async def start(self, launch: Launch) -> Handle:
         if not launch.host:
+            self._here.add(launch.instance)
             return await self._own.start(launch)
         try:
             link = self._on(launch.host)
@@ -264,6 +272,7 @@ class HostsBackend(Backend):
 
     async def adopt(self, handle: Handle) -> bool:
         if not handle.host:
+            self._here.add(handle.instance)
             return await self._own.adopt(handle)
         self._host_of[handle.instance] = handle.host  # also where it is not known whether it runs there
         link, form = self._on(handle.host), HandleForm.of(handle)
