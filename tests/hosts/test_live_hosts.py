@@ -82,6 +82,23 @@ def _until_said(robot: Robot, words: str) -> str:
     return robot("log", "--all").out
 
 
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_another_manager_takes_over_where_every_host_can_be_reached(robot: Robot) -> None:
+    assert robot("up", robot.file, "-d").status == 0
+    earlier, pid = robot.manager, robot.instance("talker")["pid"]
+    robot.hosts.stop_serving()
+    refused = robot("up", robot.file, "-d", "--replace-manager")
+    assert refused.status != 0 and "host arm cannot be reached" in refused.out + refused.err, refused
+    assert robot.manager == earlier
+    robot.hosts.serve()
+    done = robot("up", robot.file, "-d", "--replace-manager")
+    assert done.status == 0, done.out + done.err
+    assert robot.manager != earlier and robot.instance("talker")["pid"] == pid
+    assert robot("replace", "talker", "NewTalker", "--yes").status == 0
+    assert robot("down").status == 0
+
+
 OTHER_WAY = """
 topic /back : Text
 

@@ -13,6 +13,7 @@ from midstride import backends
 from midstride.cli.client import Client
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.foreign.page import GATES_FOLDER, PAGE, require_usable
+from midstride.runtime.hosts.earlier_hosts import faults_on_hosts
 from midstride.runtime.records.journal_records import require_readable
 from midstride.runtime.records.state_store import SavedState, StateStore
 from midstride.runtime.restore.earlier_system import require_same_platform, require_spoken
@@ -62,6 +63,8 @@ def require_manageable(saved: SavedState, workspace: Workspace, backend: str) ->
     platform = backends.make(backend, workspace, middleware_settings=middleware_settings)
     require_same_platform(saved, workspace.name, backend, platform.reach())
     asyncio.run(require_spoken(saved, SocketFolder(workspace.components)))
+    if faults := asyncio.run(faults_on_hosts(saved, platform)):
+        raise ManagerError("; ".join(faults))
 
 
 def _require_idle(workspace: Workspace, earlier: int) -> None:

@@ -116,7 +116,7 @@ def remove_socket_folder(workspace: Workspace) -> None:
 
 
 def order_for(system: str, host: HostSpec, own: Backend, *, middleware_settings: bool) -> HostOrder:
-    """What a manager with the back end ``own`` asks of the host process of ``host``."""
+    """The order of a manager with the back end ``own`` to the host process of ``host``."""
     variables = {name: os.environ[name] for name in SHARED_VARIABLES if name in os.environ} | {
         name: value for name, value in own.reach().items() if name in SHARED_VARIABLES
     }
