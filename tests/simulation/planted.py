@@ -161,8 +161,8 @@ def _undo_incomplete(patch: pytest.MonkeyPatch) -> None:
     """A roll-back leaves out the first step."""
     back = roll_back.RollBack.run
 
-    async def all_but_one(self: Any, done: Any) -> list[str]:
-        return await back(self, done[1:])
+    async def all_but_one(self: Any, done: Any, failed: Any = ()) -> list[str]:
+        return await back(self, done[1:], failed)
 
     plant(patch, roll_back.RollBack, "run", all_but_one)
 
@@ -418,13 +418,13 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
     for function, words in (
         (_acknowledgement_dropped, "resumed before it learned"),
         (_resumed_without_lock, "are both heard on"),
-        (_written_without_lock, "are both heard on"),
+        (_written_without_lock, " both "),
         (_lease_not_checked, "are both heard on"),
         (_lost_start_left, "without faults"),
         (_exits_repeated, "is said to have exited, and runs"),
         (_unreachable_taken_for_crashed, "is said to have exited, and runs"),
         (_left_on_host, "without faults"),
-        (_link_of_superseded, "without faults"),
+        (_link_of_superseded, "is attached to"),
         (_silence_not_noticed, "has not arrived for more than"),
         (_write_not_durable, "another manager of this system has taken over"),
         (_lease_forgotten, "a superseded manager starts"),
@@ -442,10 +442,10 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_undo_incomplete, "without faults"),
         (_started_ahead_left, "without faults"),
         (_orphans_left, "is open on"),
-        (_redundant_left, "is open on"),
-        (_cut_not_cancelled, "is closed after a roll-back"),
+        (_redundant_left, " both "),
+        (_cut_not_cancelled, "is part of another cut"),
         (_handover_not_undone, "although nothing has failed"),
-        (_never_resumes, "was silent for"),
+        (_never_resumes, "is closed after a roll-back"),
         (_repetition_carried_out, "and repeated at"),
         (_pending_forgotten, "the running system is not valid"),
         (_lost_reply_not_repeated, "after `detach` is done"),
