@@ -23,6 +23,8 @@ from tests.hosts.two_hosts import SSHD
 ROOT = Path(__file__).parents[2]
 TALKER = ROOT / "examples" / "talker" / "talker.stride"
 NETWORK, CABLE, BRIDGE = "10.212.77", "cable", "bridge"
+# As the page on fleets has it: a cut is noticed after a few seconds.
+KEPT_ALIVE = "-o ServerAliveInterval=2 -o ServerAliveCountMax=2"
 # How long processes of a namespace may take to end after SIGTERM (s).
 GRACE = 5.0
 
@@ -89,7 +91,7 @@ class Fleet:
         known.write_text("".join(f"{NETWORK}.{robot.number} {public}\n" for robot in self.robots))
         lines = [self._inventory(robot) for robot in self.robots]
         lines += ["", "[all:vars]", f"ansible_ssh_private_key_file={self.folder}/user_key", "ansible_user=root"]
-        lines += [f"ansible_ssh_common_args=-F none -o IdentitiesOnly=yes -o UserKnownHostsFile={known}"]
+        lines += [f"ansible_ssh_common_args=-F none -o IdentitiesOnly=yes -o UserKnownHostsFile={known} {KEPT_ALIVE}"]
         lines += [f"ansible_python_interpreter={sys.base_prefix}/bin/python3", f"midstride_setup=['{setup}']"]
         (self.folder / "robots.ini").write_text("\n".join(lines) + "\n")
 
@@ -123,7 +125,7 @@ class Fleet:
             f"ListenAddress {NETWORK}.{robot.number}\nHostKey {self.folder}/host_key\n"
             f"AuthorizedKeysFile {self.folder}/user_key.pub\nPidFile {robot.folder}/sshd.pid\n"
             "PasswordAuthentication no\nKbdInteractiveAuthentication no\nPermitRootLogin yes\n"
-            "StrictModes no\nUsePAM no\n"
+            "StrictModes no\nUsePAM no\nSubsystem sftp internal-sftp\n"
         )
         inside = ["nsenter", f"--net=/run/netns/{robot.namespace}"]
         words = [SSHD, "-D", "-E", str(robot.folder / "sshd.log"), "-f", str(settings)]
@@ -133,14 +135,9 @@ class Fleet:
             assert time.monotonic() < deadline, f"the SSH server of {robot.name} does not listen"
             time.sleep(0.02)
 
-    def stop_serving(self, robot: Robot) -> None:
-        """End the SSH server of a robot and the connections to it: it cannot be reached."""
-        server = self.servers.pop(robot.name)
-        server.terminate()
-        server.wait()
-        for line in _output(["pgrep", "-f", f"{self.folder}/.*/cp/.*"]).split():  # the connections that Ansible keeps
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(int(line), signal.SIGTERM)
+    def link(self, robot: Robot, state: str) -> None:
+        """Have the cable of a robot ``up`` or ``down``."""
+        _ip("-n", self.operator, "link", "set", robot.name, state)
 
     def up(self, file: Path = TALKER) -> None:
         """Bring up the system of each robot, one after another."""
@@ -199,10 +196,12 @@ def _ip(*words: str) -> None:
 
 
 def release(folder: Path, name: str, program: str) -> Path:
-    """A specification in which ``program`` talks; its listener is that of the example."""
+    """A specification in which ``program`` talks to the listener of the example. The paths are whole, for any `up`."""
     path, file = folder / f"{name}.py", folder / f"{name}.stride"
     path.write_text(program)
     text = TALKER.read_text(encoding="utf-8").replace("new_talker.py", str(path))
+    text = text.replace("listener.py", str(TALKER.parent / "listener.py"))
+    text = text.replace("python3 talker.py", f"python3 {TALKER.parent / 'talker.py'}")
     file.write_text(text.replace("talker   : Talker ", "talker   : NewTalker "))
     return file
 

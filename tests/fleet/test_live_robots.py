@@ -6,7 +6,9 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -77,14 +79,40 @@ def test_a_good_change_reaches_all_and_a_bad_one_ends_at_the_first(robots: Fleet
 
 def test_a_robot_that_cannot_be_reached_ends_the_rollout_or_is_left_out(robots: Fleet) -> None:
     last = robots.robots[-1]
-    robots.stop_serving(last)
+    current = release(robots.folder, "good", new_program())
+    entries = len(last.changes())
+    robots.link(last, "down")
     try:
-        entries = len(last.changes())
-        current = Path(str(robots.folder / "good.stride"))
         ends = robots.rollout(current, "-f", str(NUMBER), "-T", "3", watch_seconds=0)
         assert ends.returncode != 0 and recap(ends.stdout)[last.name]["unreachable"] == 1, ends.stdout + ends.stderr
         goes_on = robots.rollout(current, "-f", str(NUMBER), "-T", "3", watch_seconds=0, skip_unreachable=True)
         assert goes_on.returncode == 0, goes_on.stdout + goes_on.stderr
         assert len(last.changes()) == entries
     finally:
-        robots.serve(last)
+        robots.link(last, "up")
+
+
+def test_a_connection_that_is_cut_during_the_change_leaves_it_to_the_manager(robots: Fleet) -> None:
+    robot = robots.robots[1]
+    other = release(robots.folder, "other", new_program().replace("good news", "other news"))
+    entries = len(robot.changes())
+    with ThreadPoolExecutor(1) as pool:
+        rollout = pool.submit(robots.rollout, other, "--limit", robot.name, watch_seconds=60)
+        try:
+            until(lambda: len(robot.changes()) > entries, "the change begins")
+            robots.link(robot, "down")
+            done = rollout.result(timeout=120)
+        finally:
+            robots.link(robot, "up")
+    assert done.returncode != 0 and recap(done.stdout)[robot.name]["unreachable"] == 1, done.stdout + done.stderr
+    until(lambda: robot.changes()[-1]["outcome"] is not None, "the manager ends the change")
+    assert [each["outcome"] for each in robot.changes()[entries:]] == ["done"]
+    again = robots.rollout(other, "--limit", robot.name, watch_seconds=0)
+    assert again.returncode == 0 and recap(again.stdout)[robot.name]["changed"] == 0, again.stdout + again.stderr
+
+
+def until(condition: Callable[[], bool], what: str, seconds: float = 90.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
