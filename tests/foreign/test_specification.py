@@ -28,6 +28,7 @@ from midstride.lang.load import load
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
+from midstride.model.hosts import HostSpec
 from midstride.model.instance_names import full_name
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
@@ -353,3 +354,22 @@ def test_a_plan_is_refused_if_it_hands_over_to_one_that_cannot_be_held_back(tmp_
     change = change_between(initial(ungated), ungated, ungated.with_replaced("talker", "Other"))
     with pytest.raises(PlanRefused, match="both have `gate none`, so neither can be held back"):
         require_arbiters(planner("minimal")(change))
+
+
+@pytest.mark.parametrize(("gate", "refused"), [("preload", True), ("none", True), ("relay", False)])
+def test_between_hosts_only_nodes_with_an_agent_hand_over(gate: str, refused: bool, tmp_path: Path) -> None:
+    both = TEXT.replace('other.py"', 'other.py" gate none').replace("gate preload", f"gate {gate}")
+    specification = parsed(both, tmp_path)
+    moved = specification.with_node(replace(specification.nodes["talker"], host="arm"))
+    moved = replace(moved, hosts=Map(arm=HostSpec("arm", "arm")))
+    change = change_between(initial(specification), specification, moved)
+    if not refused:
+        require_arbiters(planner("minimal")(change))
+        return
+    words = (
+        rf"talker cannot hand over /chat from the host of the manager to host arm: talker has `gate {gate}`, which "
+        "works within one host; use `gate relay`, Midstride's API, or `--strategy paper`"
+    )
+    with pytest.raises(PlanRefused, match=words):
+        require_arbiters(planner("minimal")(change))
+    require_arbiters(planner("paper")(change))

@@ -126,6 +126,15 @@ def test_the_answer_to_a_message_of_the_moment_itself_is_the_old_sides(source: i
     assert belongs_after(owner, T, Clocks(T + 10**9).host) is after
 
 
+def test_a_message_has_one_time_on_both_hosts_and_a_slot_that_of_its_own() -> None:
+    """The clock here is 5 s ahead of that of the old side, whose moment is T - 5 s on its clock."""
+    shift, host = 5 * 10**9, Clocks(T + 10**9).host
+    for source, after in ((T - shift, False), (T - shift + 1, True), (T, True)):
+        assert belongs_after(Owner(driven="message", rate=None, info=source), T, host, shift=shift) is after
+    for slot in (T - 20_000_000, T):
+        assert belongs_after(Owner(slots=(slot, slot)), T, host, shift=shift) is (slot == T)
+
+
 @pytest.mark.parametrize(("now", "after"), [(T - 1, False), (T, True)])
 def test_what_answers_nothing_belongs_to_the_moment_it_is_written(now: int, after: bool) -> None:
     assert belongs_after(Owner(driven="none", rate=None), T, Clocks(now).host) is after

@@ -63,7 +63,7 @@ class Hooks:
 
 
 def cut_of(rights: Rights, *links: OutputLink, at: float = 0.0) -> Any:
-    return SimpleNamespace(at=round(at * SECOND), clock="ros", arbiter=rights, links=links)
+    return SimpleNamespace(at=round(at * SECOND), clock="ros", shift=0, arbiter=rights, links=links)
 
 
 def transfer(at: float = 0.0, **more: Any) -> StateTransfer:

@@ -62,6 +62,7 @@ from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.silence import SilenceMonitor
 from midstride.runtime.watch.subscriber_recording import Recording
+from midstride.wire.clock_offset import SAME_CLOCK, ClockOffset
 from midstride.wire.commands import (
     AnswerCommand,
     AttachCommand,
@@ -321,7 +322,6 @@ class ScriptedBackend:
         self.name = "scripted"
         self.shares_processes = False
         self.reaches_hosts = False
-        self.hands_over_between_hosts = True
         self.clock = clock
         self.transport: Transport = PipeNetwork()
         self.launches: list[Launch] = []
@@ -335,6 +335,7 @@ class ScriptedBackend:
         self.lingering: dict[str, int] = {}
         # By topic and instance.
         self.publishers: dict[tuple[str, str], frozenset[str] | None] = {}
+        self.offsets: dict[str, ClockOffset] = {}  # of the clocks of hosts
         self.instances: dict[str, Instance] = {}  # those that register when they are started
         self._client = client
 
@@ -356,6 +357,9 @@ class ScriptedBackend:
 
     def host_links(self) -> Sequence[HostLinkState]:
         return self.links
+
+    async def clock_offset(self, host: str) -> ClockOffset:
+        return self.offsets.get(host, SAME_CLOCK)
 
     def describe(self, launch: Launch) -> DescribedProcess:
         return DescribedProcess(launch.arguments)

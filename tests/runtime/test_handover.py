@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,6 +22,7 @@ from midstride.runtime.handover.new_publishers import ATTACH_TIMEOUT, DETACH_TIM
 from midstride.runtime.handover.probation import CALLS, CALLS_PATIENCE, PROBATION
 from midstride.runtime.handover.state_transfers import StateTransfers
 from midstride.runtime.watch.simulated_time import LONGEST_STRETCH
+from midstride.wire.clock_offset import ClockOffset
 from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
@@ -35,7 +38,7 @@ from midstride.wire.commands import (
     MeetCommand,
     PrepareStateCommand,
 )
-from midstride.wire.replies import Attached, CutResult, GatedWrites, Grid, LastWrite, StateOffer
+from midstride.wire.replies import Attached, CutResult, GatedWrites, Grid, LastWrite, StateOffer, TriggerKind
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import (
@@ -667,3 +670,56 @@ def test_where_the_second_output_does_not_come_the_first_is_taken_back_too(tmp_p
         ]
 
     bench(configuration, tmp_path, body)
+
+
+# -- two hosts -----------------------------------------------------------------------------------------
+
+MS = 10**6
+APART = CONFIGURATION.with_instance(replace(CONFIGURATION.instances["talker_2"], host="arm"))
+
+
+@pytest.mark.parametrize(
+    ("trigger", "uncertainty", "shift"),
+    [("rate", MS, 5001 * MS), ("rate", 200 * MS, 5200 * MS), ("none", 300 * MS, 5300 * MS)],
+)
+def test_a_new_side_on_another_host_gets_the_latest_moment_that_may_be_meant(
+    trigger: TriggerKind, uncertainty: int, shift: int, tmp_path: Path
+) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.offsets["arm"] = ClockOffset(5000 * MS, uncertainty, time.time_ns())
+        grid = (0, 0.5) if trigger == "rate" else (None, None)
+        b.client.reply("talker", GridCommand, Grid(trigger=trigger, now=10**9, epoch=grid[0], period=grid[1]))
+        await swapped(b)
+        [cut_out], [cut_in] = b.client.of(CutOutCommand, "talker"), b.client.of(CutInCommand, "talker_2")
+        assert abs(cut_in.shift - shift) < MS  # the clocks may have drifted apart since
+        assert cut_in.at == cut_out.at + cut_in.shift and cut_in.state is None
+        assert cut_in.epoch == (cut_in.at if trigger == "rate" else None)
+        assert cut_out.at - 10**9 >= 2 * uncertainty
+        longest = {"rate": 9 * 0.5, "none": 9 / 5}[trigger]
+        assert cut_out.resume_after == pytest.approx(longest + 4 * uncertainty / 1e9, abs=0.01)
+
+    bench(APART, tmp_path, body)
+
+
+def test_where_the_clocks_are_not_known_so_well_the_new_side_waits_for_the_last_message(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.offsets["arm"] = ClockOffset(-5000 * MS, 300 * MS, time.time_ns())
+        b.client.reply("talker", GridCommand, Grid(trigger="rate", now=10**9, epoch=0, period=0.5))
+        await swapped(b)
+        [cut_out], [cut_in] = b.client.of(CutOutCommand, "talker"), b.client.of(CutInCommand, "talker_2")
+        assert abs(cut_in.shift - -5300 * MS) < MS  # the earliest moment
+        assert cut_out.state is not None and cut_in.state is not None
+        assert cut_out.state.order_only and not cut_out.state.required
+        assert (cut_out.state.id, cut_out.state.cuts) == (cut_in.state.id, cut_in.state.cuts)
+        assert (cut_out.state.at, cut_in.state.at) == (cut_out.at, cut_in.at)
+
+    bench(APART, tmp_path, body)
+
+
+def test_on_one_host_no_clock_is_measured(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.offsets[""] = ClockOffset(5000 * MS, MS, time.time_ns())
+        await swapped(b)
+        assert only(b, CutInCommand, "talker_2").shift == 0
+
+    bench(CONFIGURATION, tmp_path, body)

@@ -100,19 +100,6 @@ def test_a_node_is_started_on_its_host_and_moves_without_a_missed_message(tmp_pa
     managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
 
 
-def test_a_move_is_refused_where_the_back_end_hands_nothing_over_between_hosts(tmp_path: Path) -> None:
-    platform = Hosts()
-    platform.hands_over_between_hosts = False
-
-    async def body(manager: Manager, _: Simulator) -> None:
-        outcome = await manager.change(PlanRequest(on=(("talker", "base"),)))
-        assert outcome.outcome == "refused"
-        assert "talker would move from host arm to host base by a hand-over" in str(outcome.because)
-        assert (await manager.change(PlanRequest(restart=("talker",)))).outcome == "done"
-
-    managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
-
-
 def test_the_nodes_of_a_host_that_cannot_be_reached_are_unreachable_and_not_crashed(tmp_path: Path) -> None:
     platform = Hosts()
 

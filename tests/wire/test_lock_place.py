@@ -23,7 +23,7 @@ class Forwarded:
         self.folders = folders
         self.cut_lock = next(iter(folders.values())).cut_lock
 
-    def address(self, instance: str) -> str:
+    def address(self, instance: str, seen_from: str | None = None) -> str:
         return self.folders[instance].address(instance)
 
     async def connect(self, address: str) -> Connection:

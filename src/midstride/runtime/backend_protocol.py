@@ -21,6 +21,7 @@ from midstride.model.load_words import LoadWords
 from midstride.model.wording import exception_in
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.records.status_forms import Middleware
+from midstride.wire.clock_offset import SAME_CLOCK, ClockOffset
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
 
@@ -247,14 +248,12 @@ class Backend(Protocol):
     """A platform. One without spare processes, or that need not know what a component reports, inherits its methods.
 
     ``shares_processes``: a process may have several nodes, so that :meth:`other_nodes` has to be asked now and then.
-    ``reaches_hosts``: it can start processes on hosts other than the manager's. ``hands_over_between_hosts``: so that
-    an instance on one host takes over from one on another.
+    ``reaches_hosts``: it can start processes on hosts other than the manager's.
     """
 
     name: str
     shares_processes: bool = False
     reaches_hosts: bool = False
-    hands_over_between_hosts: bool = True
     clock: Clock
     transport: Transport
 
@@ -283,6 +282,10 @@ class Backend(Protocol):
     def host_links(self) -> Sequence[HostLinkState]:
         """The link to each host that :meth:`reach_hosts` was called with, by name."""
         return ()
+
+    async def clock_offset(self, host: str) -> ClockOffset:
+        """By how much the system clock of a host is ahead of the one here, as measured now. Raises BackendError."""
+        return SAME_CLOCK
 
     def describe(self, launch: Launch) -> DescribedProcess:
         """Describe the process that :meth:`start` would start, also before ``open``; nothing is started or written.

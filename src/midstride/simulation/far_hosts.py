@@ -39,6 +39,7 @@ from midstride.runtime.workspace import Workspace
 from midstride.simulation.killable_manager import Life
 from midstride.simulation.platform import Platform
 from midstride.simulation.stream_wires import Streams, Wire, wires
+from midstride.wire.clock_offset import SAME_CLOCK, ClockOffset
 from midstride.wire.pipe import MEMORY
 from midstride.wire.transport import Transport
 
@@ -236,6 +237,13 @@ class SimulatedHosts(HostsBackend):
 
     def _simulated(self, host: HostSpec, folder: Path) -> SshConnection:
         return SimulatedSsh(host, folder, self)
+
+    async def clock_offset(self, host: str) -> ClockOffset:
+        """The offset, as it is measured over a line that takes as long there as back."""
+        own, other = self._platform.time, self._platform.clocks.get(host)
+        if other is None:
+            return SAME_CLOCK
+        return ClockOffset(other.system_now() - own.system_now(), round(LATENCY * 1e9), own.system_now())
 
     def _sockets(self) -> Path:
         return Path("simulated")

@@ -8,6 +8,8 @@ are the two ends of a connection. Nothing here uses ROS.
 """
 
 PUBLIC = (
+    "Accepted ClockAnswer ClockOffset ComponentHello ForwardedConnection HOST_PROTOCOL OtherHostAddress SAME_CLOCK "
+    "Word clock_offset introduce "
     "AnswerCommand AwaitIdleCommand AwaitMatchCommand AwaitRateCommand AwaitWriteCommand COMPONENTS Channel "
     "Claimed ClockMoment Command CommandHandler CommandServer ComponentReport ComponentState Connection "
     "CountWritesCommand CutClaimCommand CutLock CutClock CutInCommand CutOutCommand CutOutcome CutResult CutSwap "
@@ -21,5 +23,5 @@ PUBLIC = (
     "SetParametersCommand ShareSlotCommand SharedSlotPlace SharedSlotPort SocketFolder StateTransfer "
     "StopListening THIS_HOST Transport TriggerKind UndeclaredTopic WITH_PLACE WelcomeCommand WireValue commands "
     "duration_in_words environment files_named frames open_socket replies result_of workspace_folder "
-    "workspace_root Frame INVALID LONGEST_FRAME OLDEST SPOKEN SocketConnection"
+    "workspace_root Frame INVALID LONGEST_FRAME OLDEST SPOKEN"
 )

@@ -15,7 +15,7 @@ from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreach
 from midstride.wire import frames
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
-from midstride.wire.transport import Connection, Transport
+from midstride.wire.transport import FORWARDED, Connection, Transport
 
 R = TypeVar("R")
 T = TypeVar("T")
@@ -157,7 +157,8 @@ async def _greet(connection: Connection, address: str, hello: frames.Hello) -> f
         await connection.send(frames.encode(hello))
     line = await connection.receive()
     if line is None:
-        raise Unreachable(f"{address} closed the connection without a greeting: it may accept other users only")
+        kind = CallTimeout if connection.peer == FORWARDED else Unreachable
+        raise kind(f"{address} closed the connection without a greeting: it may accept other users only")
     return frames.decode_greeting(line)
 
 

@@ -38,7 +38,12 @@ class ClockOffset:
 
     def uncertainty_at(self, now: int) -> int:
         """The uncertainty when the clock here shows ``now``: the two clocks may have drifted apart since."""
-        return self.uncertainty + round(DRIFT * abs(now - self.at))
+        return self.uncertainty + round(DRIFT * abs(now - self.at)) if self.uncertainty else 0
+
+    def between(self, third: ClockOffset) -> ClockOffset:
+        """By how much a ``third`` clock is ahead of the other one, at the later moment of both measurements."""
+        at = max(self.at, third.at)
+        return ClockOffset(third.ahead - self.ahead, self.uncertainty_at(at) + third.uncertainty_at(at), at)
 
     def to_other(self, here: int) -> int:
         """The reading of the other clock when the one here shows ``here``."""
@@ -47,6 +52,10 @@ class ClockOffset:
     def to_here(self, other: int) -> int:
         """The reading of the clock here when the other one shows ``other``."""
         return other - self.ahead
+
+
+# Of a clock to itself.
+SAME_CLOCK: Final = ClockOffset(0, 0, 0)
 
 
 def clock_offset(exchanges: Iterable[ClockAnswer]) -> ClockOffset | None:

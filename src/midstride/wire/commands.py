@@ -368,7 +368,8 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
     messages drive the output, after the first input newer than ``at``. Both are on ``clock``. Without ``swaps``, only
     ``state`` moves, and this side makes no call any more. With a ``shared_slot``, the baton decides instead of ``at``.
-    With a ``lease`` (s), no lock decides which side writes after ``at``: the new one asks for the right.
+    With a ``lease`` (s), no lock decides which side writes after ``at``: the new one asks for the right, and reaches
+    this side at ``own_address``, if not where it listens.
     """
 
     cut: str
@@ -379,6 +380,7 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     state: StateTransfer | None = None
     shared_slot: SharedSlotPlace | None = None
     lease: Seconds = 0.0
+    own_address: str = ""
 
 
 class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
@@ -386,7 +388,8 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
 
     A rate-driven mode continues the grid through ``epoch``. With a ``shared_slot``, the baton decides instead of
     ``at``, and the offer of it ends some time after ``resume_after``. ``quiet``: it takes over without a message too.
-    ``leased``: it writes only with a lease from its peer, which is on another host.
+    ``leased``: it writes only with a lease from its peer, which is on another host. ``shift``: by how much ``at`` is
+    later than the moment that the peer was sent, which is on the clock of its host (ns).
     """
 
     cut: str
@@ -401,6 +404,7 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     resume_after: Seconds = 0.0
     quiet: bool = False
     leased: bool = False
+    shift: int = 0
 
 
 class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut"):
@@ -453,12 +457,14 @@ class AnswerCommand(Command[Answers], frozen=True, kw_only=True, tag="answer"):
     """Answer the requests to the node's services from now on, instead of ``peer``, which is asked to stop first.
 
     Without an ``address``, no other instance answers. Done already if the component answers them. A ``peer`` without
-    Midstride's API has ``drain`` (s) to answer the requests that it has taken.
+    Midstride's API has ``drain`` (s) to answer the requests that it has taken. ``own_address``: where a peer on another
+    host reaches this component.
     """
 
     peer: str = ""
     drain: Seconds = 2.0
     address: str | None = None
+    own_address: str = ""
 
 
 class JoinRequestsCommand(Command[Done], frozen=True, kw_only=True, tag="join_requests"):

@@ -9,6 +9,7 @@ from typing import Final
 from urllib.parse import unquote
 
 from midstride.errors import NodeError, Unreachable
+from midstride.wire.other_hosts import OtherHostAddress
 from midstride.wire.transport import Connection, Serve, StopListening
 
 _SCHEME = "memory:"
@@ -109,11 +110,13 @@ class PipeNetwork:
         self._serving: set[asyncio.Future[None]] = set()
         self._locks: dict[str, dict[str, PipeLock]] = {}  # by place
 
-    def address(self, instance: str) -> str:
+    def address(self, instance: str, seen_from: str | None = None) -> str:
         return f"{_SCHEME}{instance}"
 
     def instance(self, address: str) -> str:
-        """The component of an address, here or as a host process names it."""
+        """The component of an address, here or as a host process names it, or as it is seen from another host."""
+        if (other := OtherHostAddress.read(address)) is not None:
+            return other.instance
         return (
             unquote(address.rpartition("/")[2].removesuffix(".sock"))
             if address.startswith("unix:")

@@ -26,7 +26,8 @@ from urllib.parse import quote, unquote
 from midstride.errors import CallTimeout, NodeError, ProtocolError, Unreachable
 from midstride.wire.cut_locks import FileLock
 from midstride.wire.frames import LONGEST_FRAME
-from midstride.wire.transport import Serve, StopListening
+from midstride.wire.other_hosts import OtherHostAddress, introduce
+from midstride.wire.transport import FORWARDED, Serve, StopListening
 
 _SCHEME: Final = "unix:"
 _SUFFIX: Final = ".sock"
@@ -85,13 +86,21 @@ class SocketConnection:
         self._writer.close()
 
 
+class ForwardedConnection(SocketConnection):
+    """A control connection that another program passes on: the process of the component is not at the other end."""
+
+    @property
+    def peer(self) -> int:
+        return FORWARDED
+
+
 class SocketFolder:
     """Implements :class:`midstride.wire.transport.Transport` in ``folder``, which :meth:`listen` creates."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
-    def address(self, instance: str) -> str:
+    def address(self, instance: str, seen_from: str | None = None) -> str:
         return f"{_SCHEME}{self._path(instance)}"
 
     def cut_lock(self, cut: str) -> FileLock:
@@ -157,6 +166,8 @@ class SocketFolder:
         return listening
 
     async def connect(self, address: str) -> SocketConnection:
+        if (other := OtherHostAddress.read(address)) is not None:
+            return await connect_to_other_host(other)
         return SocketConnection(*await open_socket(Path(address.removeprefix(_SCHEME)), address))
 
     def _path(self, instance: str) -> Path:
@@ -182,6 +193,20 @@ async def open_socket(path: Path, name: str) -> tuple[asyncio.StreamReader, asyn
         if time.monotonic() >= deadline:
             raise CallTimeout(why)
         await asyncio.sleep(_CONNECT_INTERVAL)
+
+
+async def connect_to_other_host(address: OtherHostAddress) -> ForwardedConnection:
+    """Raises as :func:`midstride.wire.other_hosts.introduce`."""
+    try:
+        reader, writer = await open_socket(address.socket, str(address))
+    except Unreachable as error:  # of the way: the component may listen
+        raise CallTimeout(f"the way to {address.instance} on its host is not open: {error}") from None
+    try:
+        await introduce(reader, writer, address)
+    except BaseException:
+        writer.close()
+        raise
+    return ForwardedConnection(reader, writer)
 
 
 def _answers(path: Path) -> bool:

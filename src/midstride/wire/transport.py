@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from typing import Protocol
+from typing import Final, Protocol
+
+# The process at the other end of a connection that another program passes on.
+FORWARDED: Final = -1
 
 
 class Connection(Protocol):
@@ -14,7 +17,7 @@ class Connection(Protocol):
         """The process at the other end, by its number in its own PID namespace; None where that is not known.
 
         Where another program forwards the connection (SSH), it is that program, whose end says nothing about the
-        component.
+        component; ``FORWARDED`` where that is known.
         """
 
     async def send(self, frame: bytes) -> None:
@@ -75,8 +78,11 @@ class Transport(Protocol):
         It is not where the other end accepts no connection for now, or this process can open none.
         """
 
-    def address(self, instance: str) -> str:
-        """The address of a component of this system, whether it listens or not."""
+    def address(self, instance: str, seen_from: str | None = None) -> str:
+        """The address of a component of this system, whether it listens or not; as another component is to use it.
+
+        Without one (``seen_from``), as this process does.
+        """
 
     def cut_lock(self, cut: str) -> CutLock:
         """One side's lock of a cut. Sides on different hosts have different locks, and both get theirs."""

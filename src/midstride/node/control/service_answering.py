@@ -62,7 +62,8 @@ class Answering:
         if not self.admission.is_open:
             if self._page is not None:
                 return await self._answer_instead(self._page, command.drain)
-            found = None if command.address is None else await self._yielded(command.peer, command.address)
+            asked, own = command.address, command.own_address
+            found = None if asked is None else await self._yielded(command.peer, asked, own)
             if found is not None and found.place is not None:
                 return await self._answer_instead(self._join(found.place), command.drain)
             if found is not None:
@@ -145,7 +146,7 @@ class Answering:
                 self._open(found.requests, found.goals, address)
             self.changed()
 
-    async def take_back(self, peer: str, address: str) -> None:
+    async def take_back(self, peer: str, address: str, own_address: str = "") -> None:
         """Answer again, since the state has not moved after all: ``peer``, the new side, may have begun to answer.
 
         It may once it has reported that it has the state, or has asked this one to stop; either ends the pause.
@@ -154,15 +155,15 @@ class Answering:
             self.admission.open(())
         else:
             with contextlib.suppress(CommandRefused):  # it answers until the manager has ended it
-                await self.answer(commands.AnswerCommand(peer=peer, address=address))
+                await self.answer(commands.AnswerCommand(peer=peer, address=address, own_address=own_address))
         self.changed()
 
-    async def _yielded(self, peer: str, address: str) -> replies.Yielded | None:
+    async def _yielded(self, peer: str, address: str, own_address: str) -> replies.Yielded | None:
         """Ask which requests the predecessor has handled; None if it has exited.
 
         Raises CommandRefused if it may still answer.
         """
-        stop = commands.YieldCommand(address=self.own_address(), instance=self.instance)
+        stop = commands.YieldCommand(address=own_address or self.own_address(), instance=self.instance)
         for _ in range(YIELD_ATTEMPTS):
             try:
                 return result_of(await self.call(address, stop, YIELD_TIMEOUT), stop)

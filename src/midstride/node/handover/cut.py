@@ -34,11 +34,13 @@ HELD: Final = 1000
 Written = tuple[int, int]  # the publisher's number, and when
 
 
-def belongs_after(runner: OutputOwner, at: int, host: Host, slot: int = 0, clock: CutClock = "ros") -> bool:
-    """Return whether the writes of ``runner`` now belong to the new side of a cut at ``at`` on ``clock``; ``slot`` as
-    below.
+def belongs_after(
+    runner: OutputOwner, at: int, host: Host, slot: int = 0, clock: CutClock = "ros", shift: int = 0
+) -> bool:
+    """Return whether the writes of ``runner`` now belong to the new side of a cut at ``at`` on ``clock``; ``slot`` and
+    ``shift`` as below.
     """
-    return call_belongs_after(runner, runner.slots, runner.info, at, host, slot, clock)
+    return call_belongs_after(runner, runner.slots, runner.info, at, host, slot, clock, shift)
 
 
 def call_belongs_after(
@@ -49,18 +51,21 @@ def call_belongs_after(
     host: Host,
     slot: int,
     clock: CutClock = "ros",
+    shift: int = 0,
 ) -> bool:
     """True if a call for ``slots``, or for the message of ``info``, belongs after the cut ``at``.
 
     ``slot``: which of the slots that a call accounts for counts, 0 for the first and 1 for the last. Where ``/clock``
-    drives the ROS clock, slots are not on the clock of messages; then the moment of the write decides.
+    drives the ROS clock, slots are not on the clock of messages; then the moment of the write decides. ``shift``: by
+    how much ``at``, on the clock of this host, is later than on that of the other side's. A message has one time of
+    publication for both, which is compared with the other side's.
     """
     if slots is not None and comparable(host, clock, "ros"):
         # Both sides round their grid to whole nanoseconds: a slot is T if it is nearest to it.
         rate = runner.rate
         return slots[slot] + (0 if rate is None else int(rate.period * 0.25e9)) >= at
     if info is not None and comparable(host, clock, "message"):
-        return source_of(info, host) > at
+        return source_of(info, host) > at - shift
     return reading(host, clock) >= at
 
 
@@ -144,6 +149,8 @@ class _Agreed(CutSide):
     """Both sides know the moment ``at``: what belongs to the other one does not come before the arbiter."""
 
     clock: CutClock = field(default="ros", kw_only=True)
+    # Of the new side, on another host (ns): see `call_belongs_after`.
+    shift: int = field(default=0, kw_only=True)
 
     def now(self) -> int:
         return reading(self.host, self.clock)
@@ -395,7 +402,7 @@ class IncomingCut(_Agreed, IncomingSide):
                 runner.rate.regrid(epoch)
 
     def passes(self, link: OutputLink) -> bool:
-        return belongs_after(link.output.owner, self.at, self.host, slot=1, clock=self.clock)
+        return belongs_after(link.output.owner, self.at, self.host, slot=1, clock=self.clock, shift=self.shift)
 
     def admits(self, link: OutputLink) -> bool:
         return self.passes(link) and self.arbiter.admits()

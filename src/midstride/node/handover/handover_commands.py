@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine, Sequence
+import contextlib
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Final, TypeAlias, TypeVar
 
-from midstride.errors import BackendError, CommandRefused, Unreachable
+from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
 from midstride.node.author.ports import OutputLink
 from midstride.node.component_host import Host
 from midstride.node.control.attachments import Attachments
@@ -34,6 +35,7 @@ from midstride.wire import commands, replies
 from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
+from midstride.wire.other_hosts import OtherHostAddress
 from midstride.wire.state import GateState
 from midstride.wire.transport import CutLock
 
@@ -148,7 +150,7 @@ class HandoverCommands:
             outgoing = OutgoingSide(links, self.host, SharedSlot(command.shared_slot))
             patience = command.resume_after + OFFER
             return await self._join(command, outgoing, CutOutTask(self.host, self.changed, outgoing, patience))
-        export = None if command.state is None else self._export(command.state)
+        export = None if command.state is None else self._export(command.state, command.own_address)
         in_order = export is not None and _in_order(links)
         arbiter = OldLease(self.host.steady, command.lease) if command.lease else LockArbiter(self._lock(command))
         side = OutgoingCut(links, self.host, arbiter, command.at, in_order=in_order, clock=command.clock)
@@ -202,6 +204,7 @@ class HandoverCommands:
             latches=latches,
             quiet=command.quiet,
             clock=command.clock,
+            shift=command.shift,
         )
         state = None if command.state is None else self._import(command.state, command.peer, command.address)
 
@@ -336,9 +339,11 @@ class HandoverCommands:
             raise CommandRefused(f"there is no transfer {transfer}")
         return export
 
-    def _export(self, transfer: commands.StateTransfer) -> StateExport:
+    def _export(self, transfer: commands.StateTransfer, own_address: str) -> StateExport:
         if transfer.id not in self._exports:
-            export = StateExport(transfer, self.hooks, self.answering, self.host, self.runners, self._start)
+            export = StateExport(
+                transfer, self.hooks, self.answering, self.host, self.runners, self._start, own_address
+            )
             self._exports = {transfer.id: export}
         return self._exports[transfer.id]
 
@@ -416,7 +421,9 @@ class HandoverCommands:
 
     async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
         """A peer's reply. Raises CallTimeout or Unreachable."""
-        return await (await self._channel(address, timeout)).request(command, timeout=timeout)
+        channel = await self._channel(address, timeout)
+        with _as_far_as_known(address):
+            return await channel.request(command, timeout=timeout)
 
     async def _channel(self, address: str, timeout: float) -> Channel:
         """A connection to a peer, which is kept. Raises CallTimeout or Unreachable."""
@@ -430,6 +437,17 @@ class HandoverCommands:
             if channel is not made:  # another cut has connected to the same peer meanwhile
                 made.close()
         return channel
+
+
+@contextlib.contextmanager
+def _as_far_as_known(address: str) -> Iterator[None]:
+    """Have an open connection to another host that ends say nothing about the peer: the way there may have ended."""
+    try:
+        yield
+    except Unreachable as error:
+        if OtherHostAddress.read(address) is None:
+            raise
+        raise CallTimeout(str(error)) from None
 
 
 def _in_order(links: Sequence[OutputLink]) -> bool:

@@ -89,6 +89,7 @@ class _Transfer(abc.ABC):
     host: Host
     runners: Sequence[FunctionalityRunner]
     _moments: dict[OutputOwner, tuple[int, CutClock]] = field(default_factory=dict, init=False)
+    _shift: int = field(default=0, init=False)  # of the cuts, the same for all
     _armed: int = field(default=0, init=False)
     _ended: set[object] = field(default_factory=set, init=False)
 
@@ -103,6 +104,7 @@ class _Transfer(abc.ABC):
 
     def arm(self, links: Iterable[OutputLink], side: OutgoingCut | IncomingCut) -> None:
         self._armed += 1
+        self._shift = side.shift
         self._moments.update({link.output.owner: (side.at, side.clock) for link in links})
         for runner in self.runners:
             runner.admission = self.admit
@@ -130,7 +132,7 @@ class _Transfer(abc.ABC):
 
     def _belongs_after(self, runner: FunctionalityRunner, call: Call, slot: int) -> bool:
         at, clock = self._moments.get(runner, (self.transfer.at, self.transfer.clock))
-        return call_belongs_after(runner, call.slots, call.info, at, self.host, slot, clock)
+        return call_belongs_after(runner, call.slots, call.info, at, self.host, slot, clock, self._shift)
 
     def _now(self) -> int:
         """The clock of the last cut."""
@@ -146,10 +148,12 @@ class _Transfer(abc.ABC):
 class StateExport(_Transfer):
     """The old side. Where it resumes, it makes the calls that it held back: one for all slots, one for each message.
 
-    ``start`` runs a coroutine in the background.
+    ``start`` runs a coroutine in the background. ``own_address``: where the new side reaches this one, if not where it
+    listens.
     """
 
     start: Callable[[Coroutine[Any, Any, None]], None]
+    own_address: str = ""
     because: str | None = field(default=None, init=False)
     # Whether it answered requests before the export.
     _answered: bool = field(default=False, init=False)
@@ -308,7 +312,7 @@ class StateExport(_Transfer):
             self.because = self.because or "the old component has resumed"
             if self._answered:
                 self._answered = False
-                self.start(self.answering.take_back(self.transfer.new, self.transfer.address))
+                self.start(self.answering.take_back(self.transfer.new, self.transfer.address, self.own_address))
         self._decided.set()
         if self.over:
             self._state = None

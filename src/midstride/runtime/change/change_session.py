@@ -36,7 +36,6 @@ from midstride.runtime.change.crash_during_change import CrashResponse
 from midstride.runtime.change.executor import Executor
 from midstride.runtime.change.goal_tallies import goal_tallies
 from midstride.runtime.change.lost_endpoints import offered
-from midstride.runtime.change.moves_between_hosts import require_no_moves
 from midstride.runtime.change.other_nodes_losses import nodes_that_ended
 from midstride.runtime.change.parameter_transfer import ParameterTransfer
 from midstride.runtime.change.reconciler import Reconciler
@@ -148,8 +147,6 @@ class ChangeSession:
             await self.reach_hosts(target)
             running = self.system.configuration
             require_reached(self.backend, plan, running, self.launcher.left_on_hosts(running.instances))
-            if not self.backend.hands_over_between_hosts:
-                require_no_moves(plan, self.system.configuration)
         except (PlanRefused, ManagerError, BackendError) as error:
             return self._refuse(str(error))
         verdict: Verdict | UnsetType = UNSET

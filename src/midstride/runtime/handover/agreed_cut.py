@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from immutables import Map
 from msgspec import structs
 
 from midstride.errors import CallTimeout, StepFailed, Unreachable
@@ -23,6 +24,7 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.handover.arbiter_choice import LEASE, ArbiterKind, choose_arbiter
 from midstride.runtime.process.component_client import ComponentClient
+from midstride.wire.clock_offset import SAME_CLOCK, ClockOffset
 from midstride.wire.commands import (
     LEASE_SLACK,
     AwaitMatchCommand,
@@ -44,6 +46,8 @@ SHORTEST_RESUME: Final = 0.1
 RESUME_WITHOUT_RATE: Final = 2.0
 # How long a subscriber may take to find the new publishers (s).
 FIND_TIMEOUT: Final = 5.0
+# How long a new side may wait at a cut until the old one has published, or passed on, what was before (s).
+ORDER_TIMEOUT: Final = 1.0
 # How often, and at which interval (s), a subscriber may still count a publisher that has left.
 LEAVE_ATTEMPTS: Final = 10
 LEAVE_INTERVAL: Final = 0.05
@@ -58,7 +62,8 @@ class Cut:
 
     ``lead`` is how far ahead it was agreed (s); ``state`` how state moves at the cuts of these two components.
     ``quiet``: neither side writes, so the new one takes over without a message too. ``lease``: how long the new side
-    may write at a time before its first write is confirmed (s); 0 where a lock decides, or a baton.
+    may write at a time before its first write is confirmed (s); 0 where a lock decides, or a baton. ``offset``: how
+    far the clock of the new side's host is ahead of that of the old one's, where the cut is on those.
     """
 
     configuration: Configuration
@@ -76,14 +81,36 @@ class Cut:
     state: StateTransfer | None = None
     quiet: bool = False
     lease: float = 0.0
+    offset: ClockOffset = SAME_CLOCK
+
+    @property
+    def timeline(self) -> tuple[str, CutClock]:
+        """The clock of its moment: that of a host."""
+        return self.configuration.instances[self.old].host, self.clock
+
+    @property
+    def in_order(self) -> bool:
+        """Return whether the new side waits for the old one's last message, as their clocks are not known so well."""
+        return self.period is not None and self.offset.uncertainty > self.period / 2 * 1e9
+
+    @property
+    def shift(self) -> int:
+        """By how much the moment is later on the clock of the new side's host (ns).
+
+        It is the latest moment that may be meant, so that the new side does not begin before the old one has ended;
+        where it waits for that anyway, the earliest.
+        """
+        return self.offset.ahead + (-self.offset.uncertainty if self.in_order else self.offset.uncertainty)
 
     def resume_after(self) -> float:
         """The time that the old side waits for the new one's first write (s, on the clock of the cut)."""
+        # Between hosts, the new one may begin later by twice the uncertainty, which is half a round trip; and reports.
+        late = 4 * self.offset.uncertainty / 1e9
         period = self.period if self.period is not None else self._declared_period()
         if period is None:
-            return RESUME_WITHOUT_RATE
+            return RESUME_WITHOUT_RATE + late
         # The old side then writes in its next slot, which may be a period later.
-        return max((RESUME_PERIODS - 1) * period, SHORTEST_RESUME)
+        return max((RESUME_PERIODS - 1) * period, SHORTEST_RESUME) + late
 
     def _declared_period(self) -> float | None:
         """The longest of the periods that the cut's topics require; None if one states no rate."""
@@ -93,8 +120,8 @@ class Cut:
         rates = [connectors[swap.connector].guarantee.rate or self.configuration.rate(swap.old) for swap in self.swaps]
         return None if None in rates else max(1 / rate for rate in rates if rate)
 
-    def outgoing(self, slot: SharedSlotPlace | None = None) -> CutOutCommand:
-        """The cut as the old side is sent it."""
+    def outgoing(self, address: str, slot: SharedSlotPlace | None = None) -> CutOutCommand:
+        """The cut as the old side is sent it; ``address`` is where the new side reaches it."""
         swaps = [CutSwap(port=swap.old.port, topic=self.configuration.topic(swap.connector)) for swap in self.swaps]
         return CutOutCommand(
             cut=self.id,
@@ -105,6 +132,7 @@ class Cut:
             state=self.state,
             shared_slot=slot,
             lease=self.lease,
+            own_address=address if self.lease else "",
         )
 
     def timeout(self, stretch: float) -> float:
@@ -127,16 +155,18 @@ class Cut:
             )
             for swap in self.swaps
         ]
-        epoch = self.at if self.trigger == "rate" else None
+        at = self.at + self.shift
+        state = self.state and structs.replace(self.state, at=self.state.at + self.shift)
         return CutInCommand(
             cut=self.id,
             swaps=swaps,
-            at=self.at,
-            epoch=epoch,
+            at=at,
+            epoch=at if self.trigger == "rate" else None,
+            shift=self.shift,
             peer=self.old,
             address=address,
             clock=self.clock,
-            state=self.state,
+            state=state,
             shared_slot=slot,
             resume_after=0.0 if slot is None else self.resume_after(),
             quiet=self.quiet,
@@ -162,41 +192,48 @@ async def agree_cuts(
     swaps: Iterable[Swap],
     lead: float,
     states: Mapping[tuple[str, str], StateTransfer],
+    offsets: Mapping[tuple[str, str, CutClock], ClockOffset] = Map(),
 ) -> list[Cut]:
     """One cut for the outputs of each old functionality, all at the first slot after one common moment.
 
-    There is one such moment on each clock, ``lead`` seconds of real time ahead. ``states`` says how state moves between
-    two components, which have a cut for it alone if they swap nothing. Else the slowest grid is cut first, and each
-    faster one at its first slot after that, so the slots that wait for the last cut do so for a short part of their
-    period.
+    There is one such moment on each clock of each host, ``lead`` seconds of real time ahead. ``states`` says how state
+    moves between two components, which have a cut for it alone if they swap nothing. Else the slowest grid is cut
+    first, and each faster one at its first slot after that, so the slots that wait for the last cut do so for a short
+    part of their period. ``offsets``: by old and new component and clock, how far that of the new one's host is ahead.
     """
     cuts: dict[tuple[str, str, str], Cut] = {}
     grids: dict[tuple[str, str, str], Grid] = {}
-    moments: dict[CutClock, int] = {}
+    moments: dict[tuple[str, CutClock], int] = {}
     for swap in swaps:
         old, new = swap.old.instance, swap.new.instance
         arbiter = choose_arbiter(configuration.component, old, new)
         key = (old, new, configuration.component(old).owner(swap.old.port).name if arbiter.by_moment else "")
         if key not in cuts:
             grid = grids[key] = await client.read(old, GridCommand(port=swap.old.port))
-            cuts[key] = cut = Cut(configuration, old, new, arbiter, clock=grid.clock)
+            offset = offsets.get((old, new, grid.clock), SAME_CLOCK)
+            cuts[key] = cut = Cut(configuration, old, new, arbiter, clock=grid.clock, offset=offset)
             if arbiter.by_moment:
                 cut.trigger, cut.epoch, cut.period = grid.trigger, grid.epoch, grid.period
-            moment = grid.now + int(lead * (grid.speed or 1.0) * 1e9)
-            moments[grid.clock] = max(moments.get(grid.clock, 0), moment)
+            ahead = lead + 2 * offset.uncertainty / 1e9  # the new side may learn of it later by its clock
+            moment = grid.now + int(ahead * (grid.speed or 1.0) * 1e9)
+            moments[cut.timeline] = max(moments.get(cut.timeline, 0), moment)
         cuts[key].swaps.append(swap)
     for cut in cuts.values():
-        cut.at = _first_slot(cut, moments[cut.clock])
+        cut.at = _first_slot(cut, moments[cut.timeline])
+        if cut.in_order and (cut.old, cut.new) not in states:
+            states = {**states, (cut.old, cut.new): _order_alone(client, cut)}
     for old, new in states:
         if not any((cut.old, cut.new) == (old, new) for cut in cuts.values()):  # no output: only its state moves
             grid = grids[old, new, ""] = await client.read(old, GridCommand())
-            arbiter, at = choose_arbiter(configuration.component, old, new), grid.now + int(lead * 1e9)
-            cuts[old, new, ""] = Cut(configuration, old, new, arbiter, clock=grid.clock, at=at)
+            arbiter = choose_arbiter(configuration.component, old, new)
+            offset = offsets.get((old, new, grid.clock), SAME_CLOCK)
+            at = grid.now + int(lead * 1e9) + 2 * offset.uncertainty
+            cuts[old, new, ""] = Cut(configuration, old, new, arbiter, clock=grid.clock, at=at, offset=offset)
     for pair, state in states.items():
         own = sorted((cut for cut in cuts.values() if (cut.old, cut.new) == pair), key=lambda cut: -(cut.period or 0.0))
         latest = dict(moments)
         for cut in own:
-            latest[cut.clock] = cut.at = _first_slot(cut, latest.get(cut.clock, cut.at))
+            latest[cut.timeline] = cut.at = _first_slot(cut, latest.get(cut.timeline, cut.at))
         last = own[-1]
         transfer = structs.replace(state, id=uuid.uuid4().hex, cuts=len(own), at=last.at, clock=last.clock)
         for cut in own:
@@ -206,6 +243,15 @@ async def agree_cuts(
             cut.lease = LEASE
         cut.lead = (cut.at - grids[key].now) / 1e9 / (grids[key].speed or 1.0)
     return list(cuts.values())
+
+
+def _order_alone(client: ComponentClient, cut: Cut) -> StateTransfer:
+    """No state moves, and the new side waits for the old one's last message, which may take a round trip."""
+    timeout = ORDER_TIMEOUT + 4 * cut.offset.uncertainty / 1e9
+    address = client.address(cut.new, cut.old)
+    return StateTransfer(
+        id="", cuts=0, at=0, required=False, timeout=timeout, new=cut.new, address=address, order_only=True
+    )
 
 
 def _first_slot(cut: Cut, moment: int) -> int:

@@ -10,6 +10,7 @@ from midstride.errors import PlanRefused, StepFailed
 from midstride.model.action import Create, Handover, Swap
 from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration
+from midstride.model.hosts import host_in_words
 from midstride.plan.plan import Plan
 
 # How long the new side of a cut between two hosts may write, from its request on, before the old one has confirmed its
@@ -97,8 +98,22 @@ def _relay(component: ComponentSpec) -> str:
     return f"`gate relay` for {component.name}, or "
 
 
+def require_between_hosts(configuration: Configuration, swap: Swap) -> None:
+    """Raises StepFailed where the two sides of ``swap`` are on two hosts, and one of them is held back on its own."""
+    old, new = (configuration.instances[port.instance] for port in (swap.old, swap.new))
+    held = next((each for each in (old, new) if not each.component.has_agent), None)
+    if old.host != new.host and held is not None:
+        where = f"from {host_in_words(old.host)} to {host_in_words(new.host)}"
+        gate = f"has `gate {held.component.gate}`, which works within one host"
+        raise StepFailed(
+            f"{old.name} cannot hand over {swap.connector} {where}: {held.name} {gate}; use `gate relay`, Midstride's "
+            "API, or `--strategy paper`"
+        )
+
+
 def require_arbiters(plan: Plan) -> None:
-    """Raises PlanRefused where :func:`choose_arbiter` or :func:`require_answering` would fail a step of ``plan``.
+    """Raises PlanRefused where :func:`choose_arbiter`, :func:`require_between_hosts` or :func:`require_answering` would
+    fail a step of ``plan``.
 
     By then the new program would run, and one that nothing holds back would publish, or answer, beside the old one.
     """
@@ -110,6 +125,7 @@ def require_arbiters(plan: Plan) -> None:
     for step in plan.steps:
         for swap in step.action.swaps if isinstance(step.action, Handover) else ():
             try:
+                require_between_hosts(configuration, swap)
                 if connectors[swap.connector].kind == "topic":
                     choose_arbiter(configuration.component, swap.old.instance, swap.new.instance)
                 else:

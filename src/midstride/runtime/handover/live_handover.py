@@ -42,7 +42,8 @@ from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.watch.simulated_time import stretch_of
 from midstride.wire import commands
-from midstride.wire.replies import CutResult
+from midstride.wire.clock_offset import ClockOffset
+from midstride.wire.replies import CutClock, CutResult
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
 # of these, the next one is tried.
@@ -258,11 +259,13 @@ class LiveHandover:
             with _old_side_needed():
                 await self._meet(new, old)
         shortest = EXCHANGES * (self.fences.now() - begun)
+        offsets = await self._clock_offsets()
         await self.states.prepare()
         await self._before_cut()
         for lead in [lead for lead in leads if lead >= shortest] or leads[-1:]:
             with _old_side_needed():
-                self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
+                states = self.states.agreed
+                self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, states, offsets)
                 for cut in self._cuts:
                     cut.quiet = bool(cut.swaps) and self._new.quiet.issuperset(cut.swaps)
                 if await self._announce(last_try=lead == leads[-1]):
@@ -373,12 +376,32 @@ class LiveHandover:
         for _ in range(MEET_ATTEMPTS):
             await self.client.peek(old)
             try:
-                meet = commands.MeetCommand(peer=old, address=self.client.address(old), timeout=MEET_TIMEOUT)
+                meet = commands.MeetCommand(peer=old, address=self.client.address(old, new), timeout=MEET_TIMEOUT)
                 await self.client.change(new, meet)
                 return
             except CommandRefused as error:
                 refused = error
         raise refused
+
+    async def _clock_offsets(self) -> dict[tuple[str, str, CutClock], ClockOffset]:
+        """For the pairs on two hosts, how far the clocks of the new one's are ahead. Raises BackendError.
+
+        The ROS clock is left out where ``/clock`` drives it: that is one for all hosts.
+        """
+        found: dict[tuple[str, str, CutClock], ClockOffset] = {}
+        measured: dict[str, ClockOffset] = {}
+        for old, new in self._pairs:
+            hosts = [self.configuration.instances[name].host for name in (old, new)]
+            if hosts[0] == hosts[1]:
+                continue
+            for host in hosts:
+                measured[host] = measured.get(host) or await self.backend.clock_offset(host)
+            offset = measured[hosts[0]].between(measured[hosts[1]])
+            found[old, new, "message"] = offset
+            with _old_side_needed():
+                if not (await self.client.peek(old)).simulated_time:
+                    found[old, new, "ros"] = offset
+        return found
 
     async def _announce(self, last_try: bool) -> bool:
         """Send each cut to both sides. False if one side received it too late; then all cuts have been cancelled."""
@@ -387,13 +410,14 @@ class LiveHandover:
             for cut in self._cuts:  # the old side first: it resumes if the new side never learns of the cut
                 sent = self.fences.now()
                 try:
-                    await self.client.change(cut.old, cut.outgoing(await cut.shared_slot(self.client, cut.old)))
+                    slot, address = await cut.shared_slot(self.client, cut.old), self.client.address(cut.old, cut.new)
+                    await self.client.change(cut.old, cut.outgoing(address, slot))
                 except CommandRefused:
                     self._too_slow = self.fences.now() - sent >= SLOW * cut.lead
                     raise
             for cut in self._cuts:
                 slot = await cut.shared_slot(self.client, cut.new)
-                await self.client.change(cut.new, cut.incoming(self.client.address(cut.old), slot))
+                await self.client.change(cut.new, cut.incoming(self.client.address(cut.old, cut.new), slot))
         except CommandRefused:
             if last_try:
                 raise

@@ -66,7 +66,8 @@ class StateMoves:
             return
         self._asked.add(new)
         try:
-            offer = await self.client.change(new, PrepareStateCommand(peer=old, address=self.client.address(old)))
+            prepare = PrepareStateCommand(peer=old, address=self.client.address(old, new))
+            offer = await self.client.change(new, prepare)
         except CommandRefused as error:
             self.keeps_own(old, new, str(error))
             return

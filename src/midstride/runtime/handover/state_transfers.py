@@ -16,7 +16,7 @@ from midstride.errors import MidstrideError, RevisionChanged
 from midstride.model.configuration import Instance
 from midstride.model.specification import HANDOVER_SECONDS
 from midstride.model.wording import counted
-from midstride.runtime.handover.agreed_cut import Cut
+from midstride.runtime.handover.agreed_cut import ORDER_TIMEOUT, Cut
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import StateMove
@@ -25,8 +25,6 @@ from midstride.verdicts.assessment import seconds_in_words
 from midstride.wire.commands import ImportStateCommand, PrepareStateCommand, StateTransfer
 from midstride.wire.replies import CutResult, MovedState
 
-# How long a new side may wait at a cut until the old one, a relay, has passed on what was published before (s).
-ORDER_TIMEOUT: Final = 1.0
 # How long the bulk of a state, which moves while the old component works, may take (s).
 BULK_TIMEOUT: Final = 30.0
 
@@ -83,7 +81,7 @@ def _moved_by_relays(cut: Cut, incoming: CutResult, outgoing: CutResult | None) 
         topic = cut.configuration.topic(swap.connector)
         last, first = outgoing.last.get(f"{swap.old.port} {topic}"), incoming.first.get(f"{swap.new.port} {topic}")
         if last is not None and first is not None and last.source is not None and first.source is not None:
-            silences.append(max(0.0, (first.source - last.source) / 1e9))
+            silences.append(max(0.0, (first.source - last.source - cut.offset.ahead) / 1e9))
     return structs.replace(outgoing.moved, silent=max(silences, default=None))
 
 
@@ -132,7 +130,7 @@ class StateTransfers:
                 self.note_own_state(old, new, str(error))
 
     async def _prepare(self, old: str, new: str) -> None:
-        prepare = PrepareStateCommand(peer=old, address=self.client.address(old))
+        prepare = PrepareStateCommand(peer=old, address=self.client.address(old, new))
         offer = await self.client.change(new, prepare)
         changes = offer.exports == "changes"
         if changes:
@@ -149,7 +147,7 @@ class StateTransfers:
                 required=self.required and not order_only,
                 timeout=ORDER_TIMEOUT if order_only else self.timeout,
                 new=new,
-                address=self.client.address(new),
+                address=self.client.address(new, old),
                 order_only=order_only,
             )
         if not offer.has_state and old in self.keeping:
@@ -181,7 +179,7 @@ class StateTransfers:
         written = [write.source for write in incoming.first.values() if write is not None and write.source is not None]
         if cut.state is None or cut.trigger != "rate" or not cut.period or not written:
             return
-        late = (min(written) - cut.at) / 1e9
+        late = (min(written) - cut.at - cut.offset.ahead) / 1e9
         if late > cut.period:
             self.late[cut.new] = max(round(late, 6), self.late.get(cut.new, 0.0))
             self.events.add(

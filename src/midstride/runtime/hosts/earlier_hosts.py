@@ -14,7 +14,7 @@ from midstride.runtime.hosts.host_link import HostLink
 from midstride.runtime.hosts.hosts_backend import order_for
 from midstride.runtime.records.state_store import SavedState
 from midstride.wire.channel import Channel
-from midstride.wire.sockets import SocketConnection, SocketFolder
+from midstride.wire.sockets import ForwardedConnection, SocketFolder
 
 # How long a component may take to greet (s).
 GREETING_TIMEOUT: Final = 5.0
@@ -66,5 +66,5 @@ class _Through(SocketFolder):
         super().__init__(folder)
         self._link, self._instance = link, instance
 
-    async def connect(self, address: str) -> SocketConnection:
-        return await self._link.connect(self._instance, address)
+    async def connect(self, address: str) -> ForwardedConnection:
+        return await self._link.connect(self._instance)

@@ -2,26 +2,27 @@
 
 The host process greets first, with the version of this protocol. Then the client says what the connection is for: the
 calls of one manager (:class:`ManagerHello`), those of a reader (:class:`ReaderHello`), or one component's control
-connection (:class:`ComponentHello`), which the host process passes on from there. Incremented is ``HOST_PROTOCOL`` with
-every change of a frame or call that another version could misread.
+connection (:class:`ComponentHello`, :class:`BroughtHello`), which the host process passes on from there. Incremented is
+``HOST_PROTOCOL`` with every change of a frame or call that another version could misread.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Final, TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 import msgspec
-from msgspec import Meta
 
 from midstride.codec.writing import to_json
 from midstride.errors import ProtocolError
 from midstride.runtime.hosts.call_forms import ExitedForm, HostCall, OtherNodesForm
 from midstride.wire.frames import INVALID, Frame
+from midstride.wire.other_hosts import HOST_PROTOCOL as HOST_PROTOCOL
+from midstride.wire.other_hosts import Accepted as Accepted
+from midstride.wire.other_hosts import ComponentHello as ComponentHello
+from midstride.wire.other_hosts import Word
 
-HOST_PROTOCOL: Final = 1
 # The longest frame that either side takes (bytes): a log's end, or a launch with its parameters.
 LONGEST_HOST_FRAME: Final = 16 * 1024 * 1024
-Word: TypeAlias = Annotated[str, Meta(max_length=256)]
 
 
 class HostGreeting(Frame, frozen=True, kw_only=True, tag="host"):
@@ -58,23 +59,16 @@ class ReaderHello(Frame, frozen=True, kw_only=True, tag="reader"):
     protocol: int
 
 
-class ComponentHello(Frame, frozen=True, kw_only=True, tag="component"):
-    """The rest of the connection is the control connection of this component."""
+class BroughtHello(Frame, frozen=True, kw_only=True, tag="brought"):
+    """The rest of the connection is the control connection that the host process has asked for by ``number``.
 
-    protocol: int
-    instance: Word
-
-
-class Accepted(Frame, frozen=True, kw_only=True, tag="accepted"):
-    """The client's first frame is accepted; ``refused``: why it is not. ``gone``: nothing listens there.
-
-    ``seen``: the number of the last event that a manager is not sent. A manager that has just begun is sent none of
-    those before it, which are about processes that it has not known; nor may it be, when it connects again.
+    ``refused``: why there is none; ``gone``: nothing listens there.
     """
 
+    protocol: int
+    number: int
     refused: str | None = None
     gone: bool = False
-    seen: int = 0
 
 
 class CallFrame(Frame, frozen=True, kw_only=True, tag="call"):
@@ -100,6 +94,13 @@ class ExitFrame(Frame, frozen=True, kw_only=True, tag="exited"):
     exited: ExitedForm
 
 
+class WantedFrame(Frame, frozen=True, kw_only=True, tag="wanted"):
+    """A component here wants a control connection to ``instance``, which is not here: see :class:`BroughtHello`."""
+
+    number: int
+    instance: Word
+
+
 class StateFrame(Frame, frozen=True, kw_only=True, tag="state"):
     """The answers to what is asked of a back end without waiting, as of now: pushed when they change."""
 
@@ -111,8 +112,8 @@ class StateFrame(Frame, frozen=True, kw_only=True, tag="state"):
 
 
 T = TypeVar("T")
-FromHost: TypeAlias = HostGreeting | Accepted | ResultFrame | ExitFrame | StateFrame
-FromManager: TypeAlias = ManagerHello | ReaderHello | ComponentHello | CallFrame
+FromHost: TypeAlias = HostGreeting | Accepted | ResultFrame | ExitFrame | WantedFrame | StateFrame
+FromManager: TypeAlias = ManagerHello | ReaderHello | ComponentHello | BroughtHello | CallFrame
 _from_host: Final[msgspec.json.Decoder[FromHost]] = msgspec.json.Decoder(FromHost)
 _from_manager: Final[msgspec.json.Decoder[FromManager]] = msgspec.json.Decoder(FromManager)
 

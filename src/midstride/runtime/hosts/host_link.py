@@ -12,7 +12,7 @@ import contextlib
 import logging
 import random
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -26,10 +26,14 @@ from midstride.runtime.hosts import call_forms as calls
 from midstride.runtime.hosts import host_frames as frames
 from midstride.runtime.hosts.call_forms import ExitedForm, HandleForm, RemainingForm, StopTimesForm, error_of
 from midstride.runtime.hosts.host_order import HostOrder, HostReport
+from midstride.runtime.hosts.passed_on import pass_on
 from midstride.runtime.hosts.ssh_connection import HostFault, SshConnection
 from midstride.runtime.timeouts import within
+from midstride.wire.clock_offset import ClockAnswer, ClockOffset, clock_offset
 from midstride.wire.frames import INVALID, OLDEST, PROTOCOL, SPOKEN
-from midstride.wire.sockets import SocketConnection
+from midstride.wire.other_hosts import OtherHostAddress, introduce
+from midstride.wire.sockets import ForwardedConnection
+from midstride.wire.transport import Connection
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -41,6 +45,8 @@ _DRAWN: Final = 0.3
 # How long a host process may take to greet, and to answer a call that does not wait for anything (s).
 GREET_SECONDS: Final = 5.0
 CALL_SECONDS: Final = 30.0
+# How often the clock of the host is asked for one measurement: the answer with the least round trip counts.
+CLOCK_QUESTIONS: Final = 8
 
 
 class HostLink:
@@ -49,7 +55,8 @@ class HostLink:
     another manager has taken over, whose link a connection of this one would end: then none is made any more.
 
     ``known``: the instances of the system on all hosts, which are never orphans; two hosts may be one computer.
-    ``on_exit`` is called with each exit there, ``on_change`` when the link is up or down, with words.
+    ``on_exit`` is called with each exit there, ``on_change`` when the link is up or down, with words. ``elsewhere``
+    connects to a component that is not there.
     """
 
     def __init__(
@@ -65,13 +72,18 @@ class HostLink:
         reads: bool = False,
         superseded: Callable[[], bool] = lambda: False,
         connect: Callable[[HostSpec, Path], SshConnection] = SshConnection,
+        elsewhere: Callable[[str], Awaitable[Connection]] | None = None,
     ) -> None:
         self.host, self._order, self._folder, self._token = host, order, folder, token
         self._on_exit, self._on_change = on_exit, on_change
         self._known, self._reads, self._connect, self._superseded = known, reads, connect, superseded
+        self._elsewhere = elsewhere
+        # Where the socket of the host process is forwarded to, while the link is up.
+        self.socket = folder / f"{host.name}.sock"
         self.problem: str | None = "it has not been connected yet"
         self._since = time.time()  # it is connected, or not
         self.report: HostReport | None = None
+        self.clock: ClockOffset | None = None  # as measured last
         self.state = frames.StateFrame()
         self.handles: dict[str, HandleForm] = {}  # of the components that run there, as far as is known
         self._ending: set[str] = set()  # the components that a call in progress ends
@@ -84,6 +96,7 @@ class HostLink:
         self._random = random.Random(f"{order.system} {host.name}")
         self._keeping: asyncio.Task[None] | None = None
         self._tried = asyncio.Event()  # the first attempt is over
+        self._tasks: set[asyncio.Task[None]] = set()
 
     @property
     def shown(self) -> HostLinkState:
@@ -104,8 +117,10 @@ class HostLink:
     async def close(self) -> None:
         """Leave the host; its components keep running."""
         if self._keeping is not None:
-            self._keeping.cancel()
-            await asyncio.gather(self._keeping, return_exceptions=True)
+            tasks = (self._keeping, *self._tasks)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _keep(self) -> None:
         pause, now = FIRST_PAUSE, asyncio.get_running_loop().time
@@ -141,6 +156,7 @@ class HostLink:
             try:
                 await self._greet(connection, reader, writer)
                 self.report, self._writer, self._ssh = report, writer, connection
+                self.socket = connection.local
                 reading = asyncio.ensure_future(self._read(reader))
                 ending = asyncio.ensure_future(connection.ended())
                 try:
@@ -243,6 +259,10 @@ class HostLink:
                     self._exited(frame.exited)
                 case frames.StateFrame():
                     self.state = frame
+                case frames.WantedFrame():
+                    task = asyncio.get_running_loop().create_task(self._bring(frame))
+                    self._tasks.add(task)
+                    task.add_done_callback(self._tasks.discard)
                 case _:
                     pass
 
@@ -296,45 +316,67 @@ class HostLink:
         except INVALID as error:
             raise ProtocolError(f"host {self.host.name} has answered with something else: {error}") from None
 
-    async def connect(self, instance: str, address: str) -> SocketConnection:
+    async def measure_clock(self) -> ClockOffset:
+        """By how much the system clock there is ahead of the one here. Raises BackendError."""
+        answers = []
+        for _ in range(CLOCK_QUESTIONS):
+            asked = time.time_ns()
+            other = await self.call(calls.ReadClock(), int, GREET_SECONDS)
+            answers.append(ClockAnswer(asked, other, time.time_ns()))
+        if (offset := clock_offset(answers)) is None:
+            raise BackendError("the system clock was set back while the clock of another host was measured")
+        self.clock = offset
+        return offset
+
+    async def connect(self, instance: str) -> ForwardedConnection:
         """The control connection of a component there. Raises Unreachable where nothing listens, CallTimeout."""
         connection = self._ssh_connection()
         try:
-            reader, writer = await connection.channel(address)
+            reader, writer = await connection.channel(instance)
         except Unreachable as error:  # of the forwarding: the component may listen
             raise CallTimeout(f"host {self.host.name} cannot be reached: {error}") from None
         try:
-            async with within(GREET_SECONDS):
-                await _greeting(connection, reader)
-                hello = frames.ComponentHello(protocol=frames.HOST_PROTOCOL, instance=instance)
-                writer.write(frames.encode(hello) + b"\n")
-                answer = await _frame(reader)
-        except (asyncio.TimeoutError, HostFault):  # its host process has just ended, or hangs
+            await introduce(reader, writer, OtherHostAddress(connection.local, instance))
+        except Unreachable as error:
             writer.close()
-            raise CallTimeout(f"host {self.host.name} does not answer") from None
+            raise Unreachable(f"{error} (on host {self.host.name})") from None
         except BaseException:
             writer.close()
             raise
-        if not isinstance(answer, frames.Accepted):
-            writer.close()
-            raise CallTimeout(f"the connection to host {self.host.name} ended")
-        if answer.refused is not None:
-            writer.close()
-            raise (Unreachable if answer.gone else CallTimeout)(f"{answer.refused} (on host {self.host.name})")
-        return RemoteConnection(reader, writer)
+        return ForwardedConnection(reader, writer)
+
+    async def _bring(self, wanted: frames.WantedFrame) -> None:
+        """Connect a component there to one elsewhere."""
+        hello = frames.BroughtHello(protocol=frames.HOST_PROTOCOL, number=wanted.number)
+        connection: Connection | None = None
+        try:
+            if self._elsewhere is None:
+                raise CallTimeout("only the manager connects hosts")
+            connection = await self._elsewhere(wanted.instance)
+        except BackendError as error:
+            hello = msgspec.structs.replace(hello, refused=str(error), gone=isinstance(error, Unreachable))
+        try:
+            ssh = self._ssh_connection()
+            reader, writer = await _open(ssh)
+            try:
+                await _greeting(ssh, reader)
+                writer.write(frames.encode(hello) + b"\n")
+                if connection is not None:
+                    await pass_on(connection, reader, writer)
+                else:
+                    await reader.read(1)  # until it has been read there
+            finally:
+                writer.close()
+        except (BackendError, OSError) as error:
+            log.info("%s could not be connected to %s: %s", self.host.name, wanted.instance, error)
+        finally:
+            if connection is not None:
+                connection.close()
 
     def _ssh_connection(self) -> SshConnection:
         if self._ssh is None:
             raise CallTimeout(f"host {self.host.name} cannot be reached: {self.problem}")
         return self._ssh
-
-
-class RemoteConnection(SocketConnection):
-    """The control connection of a component on another host: its process is not at the other end."""
-
-    @property
-    def peer(self) -> int:
-        return -1
 
 
 async def _open(connection: SshConnection) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:

@@ -16,7 +16,6 @@ import struct
 import time
 import uuid
 from collections import deque
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +28,8 @@ from midstride.runtime.hosts import call_forms as calls
 from midstride.runtime.hosts import host_frames as frames
 from midstride.runtime.hosts.call_forms import ExitedForm, HandleForm, OtherNodesForm, RemainingForm, kind_of
 from midstride.runtime.hosts.host_order import HostOrder
+from midstride.runtime.hosts.passed_on import pass_on, read_line
+from midstride.runtime.hosts.wanted_connections import WantedConnections
 from midstride.wire.frames import LONGEST_FRAME, PROTOCOL
 from midstride.wire.transport import Connection
 
@@ -67,6 +68,7 @@ class HostService:
         self._events: deque[frames.ExitFrame] = deque(maxlen=KEPT_EVENTS)
         self._number = 0
         self._manager: _Client | None = None
+        self._wanted = WantedConnections()
         self._left_at = backend.clock.steady()
         self._others: dict[str, OtherNodesForm] = {}
         self._others_at = 0.0
@@ -133,8 +135,12 @@ class HostService:
         if line is None:
             return
         hello = frames.decode_from_manager(line)
-        if isinstance(hello, frames.ComponentHello):
+        if isinstance(hello, frames.ComponentHello) and hello.elsewhere:
+            await self._wanted.pass_on(hello.instance, self._manager, reader, writer)
+        elif isinstance(hello, frames.ComponentHello):
             await self._pass_on(hello.instance, reader, writer)
+        elif isinstance(hello, frames.BroughtHello):
+            await self._wanted.brought(hello, reader, writer)
         elif isinstance(hello, frames.ManagerHello):
             await self._serve_manager(hello, reader, writer)
         elif isinstance(hello, frames.ReaderHello):
@@ -153,14 +159,7 @@ class HostService:
             return
         try:
             await _write(writer, frames.Accepted())
-            ends = (_from_component(connection, writer), _to_component(reader, connection))
-            tasks = [asyncio.ensure_future(each) for each in ends]
-            try:
-                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for task in tasks:
-                    task.cancel()
-                await asyncio.gather(*tasks, return_exceptions=True)
+            await pass_on(connection, reader, writer)
         finally:
             connection.close()
 
@@ -343,27 +342,8 @@ class _Client:
         self._writer.close()
 
 
-async def _from_component(connection: Connection, writer: asyncio.StreamWriter) -> None:
-    while (line := await connection.receive()) is not None:
-        writer.write(line + b"\n")
-        await writer.drain()
-
-
-async def _to_component(reader: asyncio.StreamReader, connection: Connection) -> None:
-    async for line in _lines(reader):
-        await connection.send(line)
-
-
-async def _lines(reader: asyncio.StreamReader) -> AsyncIterator[bytes]:
-    while (line := await _line(reader, LONGEST_FRAME)) is not None:
-        yield line
-
-
-async def _line(reader: asyncio.StreamReader, longest: int = frames.LONGEST_HOST_FRAME) -> bytes | None:
-    line = await reader.readline()
-    if len(line) > longest:
-        raise ProtocolError(f"a frame of more than {longest} bytes")
-    return line[:-1] if line.endswith(b"\n") else None
+async def _line(reader: asyncio.StreamReader) -> bytes | None:
+    return await read_line(reader, frames.LONGEST_HOST_FRAME)
 
 
 async def _write(writer: asyncio.StreamWriter, frame: Any) -> None:

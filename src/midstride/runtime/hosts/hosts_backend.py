@@ -45,6 +45,8 @@ from midstride.runtime.hosts.host_order import LONGEST_SOCKET, SHARED_VARIABLES,
 from midstride.runtime.hosts.ssh_connection import SshConnection
 from midstride.runtime.records.status_forms import Middleware
 from midstride.runtime.workspace import Workspace
+from midstride.wire.clock_offset import SAME_CLOCK, ClockOffset
+from midstride.wire.other_hosts import OtherHostAddress
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Connection, CutLock, Serve, StopListening, Transport
 
@@ -65,8 +67,13 @@ class HostsTransport:
         self.link_of: Callable[[str], HostLink | None] = lambda _: None
         self._remote: dict[str, str] = {}  # by address: the instance
 
-    def address(self, instance: str) -> str:
+    def address(self, instance: str, seen_from: str | None = None) -> str:
         link = self.link_of(instance)
+        if seen_from is not None and (other := self.link_of(seen_from)) is not link:
+            if other is None and link is not None:
+                return str(OtherHostAddress(link.socket, instance))
+            if other is not None and other.report is not None:
+                return str(OtherHostAddress(Path(other.report.socket), instance, elsewhere=True))
         if link is None:
             return self._own.address(instance)
         folder = "" if link.report is None else link.report.components
@@ -79,7 +86,7 @@ class HostsTransport:
         link = None if instance is None else self.link_of(instance)
         if instance is None or link is None:
             return await self._own.connect(address)
-        return await link.connect(instance, address)
+        return await link.connect(instance)
 
     async def listen(self, instance: str, serve: Serve) -> StopListening:
         return await self._own.listen(instance, serve)
@@ -138,7 +145,6 @@ class HostsBackend(Backend):
     """
 
     reaches_hosts = True
-    hands_over_between_hosts = False
 
     def __init__(
         self,
@@ -213,6 +219,7 @@ class HostsBackend(Backend):
             known=lambda: (*self._here, *self._host_of),
             superseded=lambda: self._superseded(),
             connect=self._connect,
+            elsewhere=lambda instance: self.transport.connect(self.transport.address(instance)),
         )
 
     def _sockets(self) -> Path:
@@ -352,9 +359,8 @@ class HostsBackend(Backend):
                 found[name] = others.others()
         return found
 
-    async def host_clock(self, host: str) -> int:
-        """The system clock of another host (unix ns), as it was when the host was asked. Raises BackendError."""
-        return await self._on(host).call(calls.ReadClock(), int)
+    async def clock_offset(self, host: str) -> ClockOffset:
+        return await self._on(host).measure_clock() if host else SAME_CLOCK
 
     # -- the graph -----------------------------------------------------------------------------------------
 

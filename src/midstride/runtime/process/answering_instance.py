@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from msgspec import structs
+
 from midstride.errors import CallTimeout, CommandRefused, RevisionChanged, Unreachable
 from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.process.component_client import ComponentClient
@@ -56,9 +58,12 @@ async def _ask(client: ComponentClient, instance: str, instead_of: str | None, d
         return None
     if latest is not None and client.life.responsive(instance) is None:
         raise CallTimeout(f"{instance} reports nothing")  # what waits for it would only be late
-    address = None if instead_of is None else client.address(instead_of)
+    address = None if instead_of is None else client.address(instead_of, instance)
+    own_address = "" if instead_of is None else client.address(instance, instead_of)
     timeout = ANSWERS_WITHIN + max(0.0, drain - DEFAULT_STOP.drain)
     command = AnswerCommand(peer=instead_of or "", address=address, drain=drain, timeout=timeout)
+    if own_address != client.address(instance):  # on another host; an earlier version has no other ones
+        command = structs.replace(command, own_address=own_address)
     try:
         answers = await client.change(instance, command)
     except RevisionChanged:  # what an earlier manager has asked it to do has just ended

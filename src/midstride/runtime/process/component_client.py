@@ -83,9 +83,9 @@ class ComponentClient:
     def __post_init__(self) -> None:
         self.life = LifeTable(self.clock)
 
-    def address(self, instance: str) -> str:
-        """The address at which the component listens, for its peer of a hand-over."""
-        return self.transport.address(instance)
+    def address(self, instance: str, seen_from: str | None = None) -> str:
+        """The address at which the component listens, as its peer of a hand-over is to use it (``seen_from``)."""
+        return self.transport.address(instance, seen_from)
 
     async def share_locks(self, instance: str, other: str) -> bool:
         """Return whether the locks of both components exclude each other, which they do not on two hosts.

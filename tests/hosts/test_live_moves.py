@@ -1,0 +1,143 @@
+"""Nodes that move between two hosts, over SSH and real ROS 2: what a bare recorder on each host has heard."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from tests.hosts.robots import Robot, robots
+
+pytestmark = [pytest.mark.ros2]
+NODES = Path(__file__).parent / "_counter.py"
+# How often the node moves in the tests that are `long`: 20 or more for a measurement.
+MOVES = int(os.environ.get("MIDSTRIDE_MOVES", "20"))
+SPECIFICATION = """system moving
+contract Count = std_msgs/msg/String @ 50 Hz
+topic /count : Count
+component Counter {
+  run "python3 _counter.py"
+  output out
+  functionality work {
+    produces out
+    mode normal { guarantee out : Count }
+    mode degraded { }
+  }
+}
+node counter : Counter { out -> /count }
+"""
+
+
+@dataclass
+class Heard:
+    """What a recorder has heard: when (s), which number, from which instance."""
+
+    file: Path
+    rows: list[tuple[float, int, str]] = field(default_factory=list)
+
+    def read(self) -> Heard:
+        lines = [line.split() for line in self.file.read_text().splitlines()]
+        self.rows = [(float(at), int(number), instance) for at, number, instance in lines]
+        return self
+
+    def require_each_once_and_in_order(self) -> None:
+        numbers = [number for _, number, _ in self.rows]
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+    @property
+    def gaps(self) -> list[float]:
+        """Between the last message of an instance and the first of the next one, in periods."""
+        found = [(one, two) for one, two in pairwise(self.rows) if one[2] != two[2]]
+        return [(two[0] - one[0]) * 50.0 for one, two in found]
+
+
+@dataclass
+class Moving:
+    """A robot with a node that counts, and the recorders on its hosts."""
+
+    robot: Robot
+    heard: dict[str, Heard] = field(default_factory=dict)
+
+    def move(self, host: str) -> None:
+        done = self.robot("replace", "counter", "--on", host, "--yes", "--json")
+        assert done.status == 0 and done.json["outcome"] == "done", done.out + done.err + self.robot("log").out
+
+    def delay(self, *netem: str) -> None:
+        """Have packets between the two hosts delayed, or lost, both ways."""
+        for name in (self.robot.hosts.near, self.robot.hosts.far):
+            words = ["tc", "qdisc", "add", "dev", "cable", "root", "netem", *netem]
+            subprocess.run(["ip", "netns", "exec", name, *words], check=True)
+
+
+@contextmanager
+def recorder(robot: Robot, namespace: str, file: Path) -> Iterator[None]:
+    words = ["nsenter", f"--net=/run/netns/{namespace}", sys.executable, str(NODES), str(file)]
+    process = subprocess.Popen(words, env=robot.environment)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
+
+
+@pytest.fixture
+def moving(tmp_path: Path) -> Iterator[Moving]:
+    """The system runs, and both recorders hear it."""
+    files = tmp_path / "files"
+    files.mkdir()
+    shutil.copy(NODES, files)
+    with ExitStack() as stack:
+        robot = stack.enter_context(robots(files, SPECIFICATION))
+        moving = Moving(robot)
+        for host, namespace in (("manager", robot.hosts.near), ("arm", robot.hosts.far)):
+            moving.heard[host] = Heard(tmp_path / f"{host}.heard")
+            stack.enter_context(recorder(robot, namespace, moving.heard[host].file))
+        up = robot("up", robot.file, "-d")
+        assert up.status == 0, up.out + up.err
+        robot.until(lambda: all(each.read().rows for each in moving.heard.values()), "both hear it")
+        yield moving
+
+
+def require_whole(moving: Moving, moves: int) -> list[float]:
+    """Require that each recorder has heard each number once and in order; the gaps at the moves, in periods."""
+    time.sleep(0.5)  # of what is on its way
+    gaps = []
+    for heard in moving.heard.values():
+        heard.read().require_each_once_and_in_order()
+        assert len(heard.gaps) == moves
+        gaps += heard.gaps
+    return sorted(gaps)
+
+
+@pytest.mark.full
+@pytest.mark.timeout(120)
+def test_a_node_moves_to_another_host_and_back_and_each_host_hears_each_message_once(moving: Moving) -> None:
+    plan = moving.robot("plan", "--on", "counter=arm")
+    assert "counter moves from the host of the manager to host arm" in plan.out, plan.out
+    moving.move("arm")
+    assert moving.robot.instance("counter")["host"] == "arm"
+    moving.move("manager")
+    assert moving.robot.instance("counter")["host"] is None
+    require_whole(moving, moves=2)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(60 + 15 * MOVES)
+@pytest.mark.parametrize("netem", ["", "delay 5ms 2ms loss 0.5%"])
+def test_a_node_moves_there_and_back_again_and_again(moving: Moving, netem: str) -> None:
+    if netem:
+        moving.delay(*netem.split())
+    for number in range(MOVES):
+        moving.move("manager" if number % 2 else "arm")
+    gaps = require_whole(moving, moves=MOVES)
+    middle, most = gaps[len(gaps) // 2], gaps[-1]
+    print(f"{MOVES} moves ({netem or 'no delay'}): gap {middle:.2f} periods at the median, {most:.2f} at most")
