@@ -224,12 +224,14 @@ def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
 def test_each_host_has_a_line_and_its_nodes_are_unreachable_while_it_is() -> None:
     near = {"name": "base", "destination": "robot@base", "connected": True, "since": 0.0, "because": None}
     far = {**near, "name": "arm", "destination": "robot@arm", "connected": False, "because": "is it switched on?"}
-    hosts = [{**near, "version": "1.2.3", "instances": []}, {**far, "version": "", "instances": ["a"]}]
+    clock = {"clock_ahead": -0.0041, "clock_uncertainty": 0.0006}
+    hosts = [{**near, **clock, "version": "1.2.3", "instances": []}, {**far, "version": "", "instances": ["a"]}]
     fault = {"kind": "unreachable", "instance": "a", "words": "a is unreachable, with host arm"}
     lost = component("a", host="arm", reachable=False, unreachable=True, functionalities=[functionality("x")])
     lines = shown(render_status.status(status(lost, component("b", host="base"), hosts=hosts, silences=[fault])))
     words = " ".join(" ".join(lines).split())
     assert "host base (robot@base): connected since" in words and "; no node" in words
+    assert "its clock is -4.1 ± 0.6 ms from here" in words
     assert "host arm (robot@arm): unreachable since" in words
     assert "; nothing is known of a, and nothing is started elsewhere: is it switched on?" in words
     assert "7 on arm, unreachable" in words and "with host arm" not in words

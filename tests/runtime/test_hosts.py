@@ -20,7 +20,10 @@ from midstride.runtime.backend_protocol import Handle, HostLinkState, Launch, Re
 from midstride.runtime.manager import Manager
 from midstride.runtime.records.status_forms import HostStatus
 from midstride.runtime.workspace import Workspace
+from midstride.wire.clock_offset import ClockOffset
 from tests.runtime.systems import EXAMPLES, example, managed, saved
+
+CLOCK = ClockOffset(ahead=-4_000_000, uncertainty=1_000_000, at=0)
 
 
 class OneHost(Simulator):
@@ -57,7 +60,7 @@ class Hosts(OneHost):
     def host_links(self) -> list[HostLinkState]:
         problem = "is it switched on?"
         return [
-            HostLinkState(name, f"robot@{name}", 1000.0, problem if name in self.lost else None, "1.2.3")
+            HostLinkState(name, f"robot@{name}", 1000.0, problem if name in self.lost else None, "1.2.3", CLOCK)
             for name in ("arm", "base")
         ]
 
@@ -123,6 +126,8 @@ def test_the_nodes_of_a_host_that_cannot_be_reached_are_unreachable_and_not_cras
             because="is it switched on?",
             version="1.2.3",
             instances=["talker"],
+            clock_ahead=-0.004,
+            clock_uncertainty=0.001,
         )
         listener, talker = found.instances
         assert (talker.reachable, talker.unreachable, listener.unreachable) == (False, True, False)

@@ -573,6 +573,10 @@ declare namespace Api {
     because: string | null;
     /** of Midstride there; empty: not known */
     version: string;
+    /** of the manager's clock, as measured last (s); null: not measured yet */
+    clock_ahead: number | null;
+    /** of that when it was measured, give or take (s); the clocks may have drifted apart */
+    clock_uncertainty: number | null;
     /** that run there, as far as is known */
     instances: string[];
   }

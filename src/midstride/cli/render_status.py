@@ -122,7 +122,12 @@ def _hosts(status: Status) -> Iterable[Text]:
         where = f"host {host.name} ({host.destination})"
         nodes = ", ".join(host.instances) or "no node"
         if host.connected:
-            yield Text(f"{where}: connected since {time_of(host.since)}; {nodes}", style="dim")
+            clock = ""
+            if host.clock_ahead is not None and host.clock_uncertainty is not None:
+                clock = (
+                    f"; its clock is {host.clock_ahead * 1e3:+.1f} ± {host.clock_uncertainty * 1e3:.1f} ms from here"
+                )
+            yield Text(f"{where}: connected since {time_of(host.since)}; {nodes}{clock}", style="dim")
             continue
         words = f"nothing is known of {nodes}, and nothing is started elsewhere: {host.because}"
         yield Text(f"{where}: unreachable since {time_of(host.since)}; {words}", style="red")

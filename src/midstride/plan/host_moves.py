@@ -39,6 +39,8 @@ def in_words(change: Change) -> Iterator[str]:
         yield (
             f"{new.role} moves {where}: {after} is a new process of {same} there, and holds the resources of that host "
             f"while {before} still holds those of its own; what they hand over crosses the network between the two"
+            "; a hand-over is at a moment on the clocks of both hosts, and where these are not known to half a period, "
+            f"a round trip later, when {before} has said that it has written its last message"
             f"{_not_measured(change, after)}"
         )
 

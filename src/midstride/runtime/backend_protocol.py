@@ -234,7 +234,7 @@ class HostLinkState(NamedTuple):
     """The link to another host. ``destination``: as `ssh` takes it.
 
     ``problem``: why it cannot be reached now, and what to do; None while it is connected. ``since``: from when on that
-    has been so (unix s). ``version``: that of Midstride there, once it is known.
+    has been so (unix s). ``version``: that of Midstride there, once it is known. ``clock``: as it was measured last.
     """
 
     host: str
@@ -242,6 +242,7 @@ class HostLinkState(NamedTuple):
     since: float
     problem: str | None
     version: str = ""
+    clock: ClockOffset | None = None
 
 
 class Backend(Protocol):

@@ -228,6 +228,7 @@ class SimulatedHosts(HostsBackend):
     """The back end of one manager. ``life``: of the manager, to be set before it is used."""
 
     life: Life
+    measure_clocks = None  # they are known
 
     def __init__(self, platform: Platform, workspace: Workspace, hosts: dict[str, FarHost]) -> None:
         super().__init__(PartOfHost(platform, ""), workspace, connect=self._simulated)

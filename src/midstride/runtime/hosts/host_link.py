@@ -102,7 +102,7 @@ class HostLink:
     def shown(self) -> HostLinkState:
         """The link as the status shows it."""
         version = "" if self.report is None else self.report.version
-        return HostLinkState(self.host.name, self.host.ssh, self._since, self.problem, version)
+        return HostLinkState(self.host.name, self.host.ssh, self._since, self.problem, version, self.clock)
 
     @property
     def connected(self) -> bool:

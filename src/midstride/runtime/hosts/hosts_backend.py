@@ -14,10 +14,10 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Coroutine, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 from midstride.errors import BackendError, CallTimeout, EndUnknown, StartFailed, Unreachable
@@ -145,6 +145,8 @@ class HostsBackend(Backend):
     """
 
     reaches_hosts = True
+    # How often the clocks of the hosts are measured besides (s): they drift apart.
+    measure_clocks: float | None = 30.0
 
     def __init__(
         self,
@@ -168,6 +170,7 @@ class HostsBackend(Backend):
         self._here: set[str] = set()  # the instances that have been started on this host
         self._on_exit: Callable[[Exited], object] = lambda _: None
         self._spares = (0, "")
+        self._measuring = False
         self._tasks: set[asyncio.Task[object]] = set()
 
     # -- links ---------------------------------------------------------------------------------------------
@@ -199,6 +202,10 @@ class HostsBackend(Backend):
             if known is None:
                 self._links[name] = self._link(host)
         await asyncio.gather(*(self._links[name].open() for name in sorted(hosts)))
+        if hosts and not self._measuring and self.measure_clocks is not None:
+            self._measuring = True
+            await self._measure_clocks()
+            self._keep(self._measure_again(self.measure_clocks))
         for name in sorted(hosts):
             report = self._links[name].report
             for words in [] if report is None or name in self._judged else faults_of(report):
@@ -206,6 +213,17 @@ class HostsBackend(Backend):
             if report is not None:
                 self._judged.add(name)
         return self.problems()
+
+    async def _measure_clocks(self) -> None:
+        for link in list(self._links.values()):
+            if link.connected:
+                with contextlib.suppress(BackendError):
+                    await link.measure_clock()
+
+    async def _measure_again(self, interval: float) -> None:
+        while True:
+            await asyncio.sleep(interval)
+            await self._measure_clocks()
 
     def _link(self, host: HostSpec) -> HostLink:
         order = order_for(self._workspace.name, host, self._own, middleware_settings=self._middleware_settings)
@@ -404,6 +422,9 @@ class HostsBackend(Backend):
                 log.info("host %s: %s", link.host.name, error)
 
         if link.connected:
-            task: asyncio.Task[object] = asyncio.get_running_loop().create_task(carry_out())
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._keep(carry_out())
+
+    def _keep(self, work: Coroutine[Any, Any, None]) -> None:
+        task: asyncio.Task[object] = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)

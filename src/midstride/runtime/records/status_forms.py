@@ -56,6 +56,13 @@ class HostStatus(Report, frozen=True, kw_only=True):
     since: Annotated[UnixTime, Meta(description="from when on that has been so")]
     because: Annotated[str | None, Meta(description="why it cannot be reached, and what to do; null: it is connected")]
     version: Annotated[str, Meta(description="of Midstride there; empty: not known")]
+    clock_ahead: Annotated[
+        float | None, Meta(description="of the manager's clock, as measured last (s); null: not measured yet")
+    ] = None
+    clock_uncertainty: Annotated[
+        float | None,
+        Meta(description="of that when it was measured, give or take (s); the clocks may have drifted apart"),
+    ] = None
     instances: Annotated[list[str], Meta(description="that run there, as far as is known")]
 
 

@@ -125,6 +125,8 @@ def hosts(watched: WatchedSystem) -> list[HostStatus]:
             because=link.problem,
             version=link.version,
             instances=[each.name for each in instances if each.host == link.host],
+            clock_ahead=None if link.clock is None else link.clock.ahead / 1e9,
+            clock_uncertainty=None if link.clock is None else link.clock.uncertainty / 1e9,
         )
         for link in watched.backend.host_links()
     ]
