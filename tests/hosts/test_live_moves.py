@@ -75,7 +75,10 @@ class Moving:
         """Have packets between the two hosts delayed, or lost, both ways."""
         for name in (self.robot.hosts.near, self.robot.hosts.far):
             words = ["tc", "qdisc", "add", "dev", "cable", "root", "netem", *netem]
-            subprocess.run(["ip", "netns", "exec", name, *words], check=True)
+            done = subprocess.run(["ip", "netns", "exec", name, *words], capture_output=True, text=True)
+            if "qdisc kind is unknown" in done.stderr:
+                pytest.skip("this kernel has no netem")
+            assert done.returncode == 0, done.stderr
 
 
 @contextmanager
