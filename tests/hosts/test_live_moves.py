@@ -21,6 +21,8 @@ pytestmark = [pytest.mark.ros2]
 NODES = Path(__file__).parent / "_counter.py"
 # How often the node moves in the tests that are `long`: 20 or more for a measurement.
 MOVES = int(os.environ.get("MIDSTRIDE_MOVES", "20"))
+# At how many moments of a move the link is cut, every 0.1 s.
+CUTS = int(os.environ.get("MIDSTRIDE_CUTS", "8"))
 SPECIFICATION = """system moving
 contract Count = std_msgs/msg/String @ 50 Hz
 topic /count : Count
@@ -144,3 +146,23 @@ def test_a_node_moves_there_and_back_again_and_again(moving: Moving, netem: str)
     gaps = require_whole(moving, moves=MOVES)
     middle, most = gaps[len(gaps) // 2], gaps[-1]
     print(f"{MOVES} moves ({netem or 'no delay'}): gap {middle:.2f} periods at the median, {most:.2f} at most")
+
+
+@pytest.mark.long
+@pytest.mark.timeout(200)
+@pytest.mark.parametrize("after", [1.2 + 0.1 * number for number in range(CUTS)])
+def test_a_link_that_is_cut_during_a_move_leaves_one_writer_and_is_recovered_from(moving: Moving, after: float) -> None:
+    """The cable is down for 8 s, from so long (s) after the command was begun: longer than SSH waits."""
+    robot = moving.robot
+    with robot.begin("replace", "counter", "--on", "arm", "--yes", "--json") as command:
+        time.sleep(after)
+        robot.hosts.link("down")
+        time.sleep(8.0)
+        robot.hosts.link("up")
+        command.communicate(timeout=120)
+    robot.until(lambda: robot.status["condition"]["state"] == "up", "all is as it should be, without a command")
+    for heard in moving.heard.values():
+        assert len(heard.read().gaps) <= 2, robot("log").out  # one writes, and then the other one
+    # On the host of the one that writes, nothing is missed for longer than the lease and its slack.
+    silences = [max(two[0] - one[0] for one, two in pairwise(heard.rows)) for heard in moving.heard.values()]
+    assert min(silences) < 2.5, robot("log").out
