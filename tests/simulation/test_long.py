@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(0)]
 
 SEEDS = int(os.environ.get("MIDSTRIDE_SIMULATION_LONG", "20000"))
 # Within how many seeds a planted fault must be found.
-WITHIN = 1500
+WITHIN = 2000
 STEPS = ("create", "remove", "attach", "detach", "degrade", "upgrade", "handover", "set")
 BRANCHES = ("done", "refused", "rolled_back", "failed", "manager killed", "recovered")
 
