@@ -78,6 +78,36 @@ def test_nodes_that_share_a_container_share_its_log(tmp_path: Path) -> None:
     assert found("manager") == []
 
 
+def test_the_copy_of_another_hosts_log_is_that_of_the_instances_there(tmp_path: Path) -> None:
+    """An instance here may have the name of an earlier one there."""
+    space = workspace(tmp_path, talker="here")
+    (space.logs / "arm").mkdir()
+    for name in ("talker", "talker_2"):
+        (space.logs / "arm" / f"{name}.log").write_text("there\n")
+    os.utime(space.logs / "talker.log", (1, 1))
+    hosts = [
+        {
+            "name": "arm",
+            "destination": "arm",
+            "connected": True,
+            "since": 1.0,
+            "because": None,
+            "version": "",
+            "instances": [],
+        }
+    ]
+
+    def found(*components: dict[str, Any], **more: Any) -> list[str]:
+        paths = log_files(space, "talker", status(*components, hosts=hosts, **more))
+        return [str(path.relative_to(space.logs)) for path in paths]
+
+    assert found(component("talker")) == ["talker.log"]
+    assert found(component("talker", host="arm")) == ["arm/talker.log"]
+    assert found(component("talker", host="seen-from-inside-a-container")) == ["talker.log"]
+    assert found(crashed=[crash("talker_2")]) == ["arm/talker_2.log"]
+    assert [path.stem for path in log_files(space, "talker", None)] == ["talker", "talker", "talker_2"]
+
+
 def test_after_a_container_has_crashed_its_log_is_that_of_its_nodes(tmp_path: Path) -> None:
     """The last one is meant, where they had moved to another process."""
     space = workspace(tmp_path, pipeline="of both", pipeline_2="of both, later", talker_2="of one for itself")

@@ -27,8 +27,8 @@ def test_what_is_new_is_copied_and_what_was_shortened_is_copied_again(tmp_path: 
         (far / "talker.log").write_text("one\n")
         (far / "other.log").write_text("not asked for\n")
         await asyncio.to_thread(logs.refresh)
-        copied = workspace.logs / "talker.log"
-        assert copied.read_text() == "one\n" and not (workspace.logs / "other.log").exists()
+        copied = workspace.logs / "arm" / "talker.log"
+        assert copied.read_text() == "one\n" and list(copied.parent.iterdir()) == [copied]
         with (far / "talker.log").open("a") as file:
             file.write("two\n")
         await asyncio.to_thread(logs.refresh)
@@ -36,6 +36,9 @@ def test_what_is_new_is_copied_and_what_was_shortened_is_copied_again(tmp_path: 
         (far / "talker.log").write_text("new\n")
         await asyncio.to_thread(logs.refresh)
         assert copied.read_text() == "new\n" and logs.problems == {}
+        (workspace.logs / "talker.log").write_text("of an instance here that has the name of an earlier one there\n")
+        await asyncio.to_thread(logs.refresh)
+        assert (workspace.logs / "talker.log").read_text().startswith("of an instance here")
         serving.cancel()
         await asyncio.gather(serving, return_exceptions=True)
         logs.close()

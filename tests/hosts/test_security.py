@@ -173,7 +173,7 @@ def test_a_host_names_no_file_outside_the_folder_of_logs(tmp_path: Path) -> None
         server = await asyncio.start_unix_server(accepted, workspace.path / "hosts" / "arm.sock")
         logs = RemoteLogs(workspace, lambda _: True)
         await asyncio.to_thread(logs.refresh)
-        assert logs.problems == {} and [path.name for path in workspace.logs.iterdir()] == ["a.log"]
+        assert logs.problems == {} and [*workspace.logs.rglob("*.log")] == [workspace.logs / "arm" / "a.log"]
         assert list(tmp_path.rglob("*escaped*")) == []
         logs.close()
         server.close()

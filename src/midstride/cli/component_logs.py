@@ -31,14 +31,18 @@ def log_files(workspace: Workspace, node: str, status: Status | None) -> list[Pa
     """
     if status is not None:
         named = (each for each in status.instances if node in (each.role, each.name, each.container, each.process))
-        live = [workspace.logs / log_file_name(each.process or each.name) for each in named]
+        hosts = {each.name for each in status.hosts}
+        live = [
+            _folder(workspace, each.host if each.host in hosts else None) / log_file_name(each.process or each.name)
+            for each in named
+        ]
         gone = (each for each in status.crashed if is_named_after(each.name, node) or each.container == node)
         crashed = [_log_of_crashed(workspace, each) for each in gone]
         paths = list(dict.fromkeys([*(path for path in crashed if path not in live), *live]))
         if not paths:  # an instance that is no more, as after a roll-back
-            paths = [workspace.logs / log_file_name(node)]
+            paths = [_latest(workspace, node)]
         return [path for path in paths if path.exists() and path != workspace.manager_log]
-    found = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, dotted_name(node))]
+    found = [path for path in _all_logs(workspace) if is_named_after(path.stem, dotted_name(node))]
     return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
 
 
@@ -51,12 +55,29 @@ def is_of(stem: str, node: str, status: Status | None) -> bool:
 
 def _log_of_crashed(workspace: Workspace, crashed: CrashedInstance) -> Path:
     """The log of an instance that has crashed; where it has none, that of the latest process of its container."""
-    own = workspace.logs / log_file_name(crashed.name)
+    own = _latest(workspace, crashed.name)
     if crashed.container is None or own.exists():
         return own
     container = dotted_name(crashed.container)
-    processes = [path for path in workspace.logs.glob("*.log") if is_named_after(path.stem, container)]
+    processes = [path for path in _all_logs(workspace) if is_named_after(path.stem, container)]
     return max(processes, key=lambda path: path.stat().st_mtime, default=own)
+
+
+def _folder(workspace: Workspace, host: str | None) -> Path:
+    """The folder of the logs of this host, or of the copies of those of another one."""
+    return workspace.logs if host is None else workspace.logs / host
+
+
+def _all_logs(workspace: Workspace) -> list[Path]:
+    """The logs of this host, and the copies of those of others."""
+    return [*workspace.logs.glob("*.log"), *workspace.logs.glob("*/*.log")]
+
+
+def _latest(workspace: Workspace, instance: str) -> Path:
+    """The log of an instance that is no more, wherever it was; that of this host where there is none."""
+    name = log_file_name(instance)
+    found = (path for path in _all_logs(workspace) if path.name == name)
+    return max(found, key=lambda path: path.stat().st_mtime, default=workspace.logs / name)
 
 
 def ended_since(workspace: Workspace, node: str, shown: Sequence[Path]) -> list[str]:
@@ -66,7 +87,7 @@ def ended_since(workspace: Workspace, node: str, shown: Sequence[Path]) -> list[
     """
     begun = max((run for path in shown for run in latest_run(last_lines(path)[0])[1][-1:]), default=None)
     found: list[tuple[str, str]] = []
-    for path in workspace.logs.glob("*.log"):
+    for path in _all_logs(workspace):
         if begun is not None and path not in shown and is_named_after(path.stem, dotted_name(node)):
             runs = latest_run(last_lines(path)[0])[1]
             if runs and runs[-1] > begun:
@@ -77,7 +98,7 @@ def ended_since(workspace: Workspace, node: str, shown: Sequence[Path]) -> list[
 def known_nodes(workspace: Workspace, status: Status | None) -> list[str]:
     """The names that ``logs`` can be asked for."""
     if status is None:
-        return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
+        return sorted({path.stem for path in _all_logs(workspace) if path != workspace.manager_log})
     live = [name for each in status.instances for name in (each.role, each.name, each.container) if name is not None]
     crashed = [name for each in status.crashed for name in (each.role, each.name, each.container) if name is not None]
     return sorted({*live, *crashed})

@@ -1,7 +1,8 @@
-"""The logs of components on other hosts, copied into the system's folder of logs as far as they are asked for.
+"""The logs of components on other hosts, copied below the system's folder of logs as far as they are asked for.
 
 The manager's links forward the socket of each host process to this host: it is asked there for what is new. So `logs`
-reads and follows them like any other, and nothing is copied while nobody looks.
+reads and follows them like any other, and nothing is copied while nobody looks. Each host has a folder for itself: an
+instance here may have the name of an earlier one there, and its log is not to be taken for the copy.
 """
 
 from __future__ import annotations
@@ -49,18 +50,19 @@ class RemoteLogs:
                 reader = self._readers.get(host)
                 if reader is None:
                     reader = self._readers[host] = _Reader.open(path)
-                self._copy(reader)
+                self._copy(reader, self.workspace.logs / host)
                 self.problems.pop(host, None)
             except (OSError, BackendError) as error:
                 self.problems[host] = str(error) or type(error).__name__
                 if (failed := self._readers.pop(host, None)) is not None:
                     failed.close()
 
-    def _copy(self, reader: _Reader) -> None:
+    def _copy(self, reader: _Reader, folder: Path) -> None:
         for name, length in reader.call(calls.ListLogs(), dict[str, int]).items():
             if not _NAME.fullmatch(name) or name in ("manager.log", "host.log") or not self.wanted(Path(name).stem):
                 continue
-            path = self.workspace.logs / name
+            path = folder / name
+            folder.mkdir(exist_ok=True)
             have = path.stat().st_size if path.exists() else 0
             if have > length:  # it was shortened there
                 path.unlink()
