@@ -343,6 +343,60 @@ def test_what_was_ended_as_the_link_broke_has_exited(tmp_path: Path, monkeypatch
     run(body())
 
 
+def test_a_link_that_breaks_while_what_runs_is_compared_is_compared_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At once, and with the same host process: what the one before has started is ended all the same."""
+
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, notes):
+            await backend.start(launch("a"))
+            await far.kill()
+            _cut(backend)
+            far.platform.running.add("started")
+            adopt, asked = far.platform.adopt, list[str]()
+
+            async def adopted(handle: Handle) -> bool:
+                asked.append(handle.instance)
+                if len(asked) == 1:
+                    _cut(backend)
+                    await asyncio.sleep(0.02)
+                return await adopt(handle)
+
+            monkeypatch.setattr(far.platform, "adopt", adopted)
+            await far.run()
+            await until(lambda: not backend.problems())
+            assert far.platform.running == {"a"} and exits == []
+            assert "started, which was being started on host arm, was ended there" in notes
+
+    run(body())
+
+
+def test_a_link_that_has_just_broken_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        left = asyncio.Event()
+
+        async def close(_: Near) -> None:
+            await left.wait()
+
+        async with system(tmp_path, far) as (backend, _, _):
+            await backend.start(launch("a"))
+            monkeypatch.setattr(Near, "close", close)
+            _cut(backend)
+            await until(lambda: backend._links["arm"]._ssh is None)
+            assert backend.problems() == {"arm": "the connection was closed"}
+            assert [each.problem for each in backend.host_links()] == ["the connection was closed"]
+            with pytest.raises(CallTimeout, match="host arm cannot be reached: the connection was closed"):
+                await backend.transport.connect(backend.transport.address("a"))
+            left.set()
+
+    run(body())
+
+
 def _cut(backend: HostsBackend) -> None:
     """End the connection to the host, as a link does that is cut."""
     if (writer := backend._links["arm"]._writer) is not None:

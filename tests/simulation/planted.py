@@ -376,8 +376,9 @@ def _exits_repeated(patch: pytest.MonkeyPatch) -> None:
     greet = host_link.HostLink._greet
 
     async def forgetful(self: Any, connection: Any, reader: Any, writer: Any) -> None:
+        before = self._uuid
         await greet(self, connection, reader, writer)
-        if self._was != self._uuid:
+        if self._uuid != before:
             self._seen = 0
 
     plant(patch, host_link.HostLink, "_greet", forgetful)

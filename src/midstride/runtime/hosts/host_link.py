@@ -12,9 +12,9 @@ import contextlib
 import logging
 import random
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 
@@ -45,6 +45,7 @@ _DRAWN: Final = 0.3
 # How long a host process may take to greet, and to answer a call that does not wait for anything (s).
 GREET_SECONDS: Final = 5.0
 CALL_SECONDS: Final = 30.0
+CLOSED: Final = "the connection was closed"
 # How often the clock of the host is asked for one measurement: the answer with the least round trip counts.
 CLOCK_QUESTIONS: Final = 8
 
@@ -80,7 +81,7 @@ class HostLink:
         self._elsewhere = elsewhere
         # Where the socket of the host process is forwarded to, while the link is up.
         self.socket = folder / f"{host.name}.sock"
-        self.problem: str | None = "it has not been connected yet"
+        self._problem: str | None = "it has not been connected yet"
         self._since = time.time()  # it is connected, or not
         self.report: HostReport | None = None
         self.clock: ClockOffset | None = None  # as measured last
@@ -90,13 +91,19 @@ class HostLink:
         self.lost: set[str] = set()  # those of which it is not known whether they were started: they are to end
         self._ssh: SshConnection | None = None
         self._writer: asyncio.StreamWriter | None = None
-        self._uuid, self._was, self._seen = "", "", 0  # of the host process, of the one before, and its last event
+        self._uuid, self._seen = "", 0  # of the host process, and its last event
+        self._compared = ""  # the host process that was compared last with what is known to run
         self._calls: dict[int, asyncio.Future[frames.ResultFrame]] = {}
         self._number = 0
         self._random = random.Random(f"{order.system} {host.name}")
         self._keeping: asyncio.Task[None] | None = None
         self._tried = asyncio.Event()  # the first attempt is over
         self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def problem(self) -> str | None:
+        """The reason why the host cannot be reached now, and what to do; None while it is connected."""
+        return CLOSED if self._problem is None and self._writer is None else self._problem
 
     @property
     def shown(self) -> HostLinkState:
@@ -106,7 +113,7 @@ class HostLink:
 
     @property
     def connected(self) -> bool:
-        return self._writer is not None and self.problem is None
+        return self.problem is None
 
     async def open(self) -> None:
         """Return once the first attempt is over; from then on the link is kept up. See ``problem``."""
@@ -128,7 +135,7 @@ class HostLink:
             begun, why = now(), ""
             try:
                 await self._serve_connection()
-                why = "the connection was closed"
+                why = CLOSED
             except (BackendError, OSError) as error:
                 why = str(error)
             except Exception as error:  # a fault of ours: it is tried again
@@ -136,15 +143,15 @@ class HostLink:
                 why = f"{type(error).__name__}: {error}"
             if now() - begun > LONGEST_PAUSE:
                 pause = FIRST_PAUSE
-            if self.problem is None:
+            if self._problem is None:
                 self._since = time.time()
-            before, self.problem = self.problem, why
+            before, self._problem = self._problem, why
             if why != before and self._tried.is_set():
                 self._on_change(f"host {self.host.name} cannot be reached: {why}")
             self._tried.set()
             await asyncio.sleep(pause * (1 - _DRAWN * self._random.random()))
             pause = min(2 * pause, LONGEST_PAUSE)
-        self.problem = "another manager of this system has taken over"
+        self._problem = "another manager of this system has taken over"
         self._tried.set()
 
     async def _serve_connection(self) -> None:
@@ -159,22 +166,23 @@ class HostLink:
                 self.socket = connection.local
                 reading = asyncio.ensure_future(self._read(reader))
                 ending = asyncio.ensure_future(connection.ended())
+                comparing = asyncio.ensure_future(self._compare_all())
                 try:
-                    await self._compare()
-                    await self._end_orphans()
-                    await self._end_lost()
-                    was, self.problem, self._since = self.problem, None, time.time()
-                    if self._tried.is_set():
-                        self._on_change(f"host {self.host.name} is reached again (before: {was})")
-                    self._tried.set()
-                    await asyncio.wait((reading, ending), return_when=asyncio.FIRST_COMPLETED)
+                    await asyncio.wait((comparing, reading, ending), return_when=asyncio.FIRST_COMPLETED)
+                    if comparing.done():
+                        comparing.result()
+                        was, self._problem, self._since = self._problem, None, time.time()
+                        if self._tried.is_set():
+                            self._on_change(f"host {self.host.name} is reached again (before: {was})")
+                        self._tried.set()
+                        await asyncio.wait((reading, ending), return_when=asyncio.FIRST_COMPLETED)
                     if ending.done():
                         raise Unreachable(ending.result())
                     reading.result()
                 finally:
-                    for task in (reading, ending):
+                    for task in (comparing, reading, ending):
                         task.cancel()
-                    await asyncio.gather(reading, ending, return_exceptions=True)
+                    await asyncio.gather(comparing, reading, ending, return_exceptions=True)
             finally:
                 self._writer = self._ssh = None
                 writer.close()
@@ -195,12 +203,12 @@ class HostLink:
                 protocol=frames.HOST_PROTOCOL, token=self._token(), uuid=self._uuid, seen=self._seen
             )
         writer.write(frames.encode(hello) + b"\n")
-        answer = await _frame(reader)
+        answer = await _in_time(_frame(reader))
         if not isinstance(answer, frames.Accepted):
             raise ProtocolError("the host process did not accept the manager first")
         if answer.refused is not None:
             raise HostFault(answer.refused)
-        self._was, self._uuid, self._seen = self._uuid, greeting.uuid, answer.seen
+        self._uuid, self._seen = greeting.uuid, answer.seen
 
     def _require(self, greeting: frames.HostGreeting) -> None:
         """Raises HostFault where the host process is not the one that is meant, or speaks otherwise."""
@@ -215,13 +223,20 @@ class HostLink:
                 f"one speaks {OLDEST} to {PROTOCOL}: install the same version of Midstride on both"
             )
 
+    async def _compare_all(self) -> None:
+        """What was missed comes first. A link that ends meanwhile has it begun again, for the same host process."""
+        await self._compare()
+        await self._end_orphans()
+        self._compared = self._uuid
+        await self._end_lost()
+
     async def _compare(self) -> None:
         """Have the host process watch what runs; what does not has ended meanwhile.
 
         Another host process than before knows nothing of it. The same one may have ended it for a call whose result was
         lost.
         """
-        same = self._was == self._uuid
+        same = self._compared == self._uuid
         how = "the link was down to" if same else "`midstride host` did not run on"
         for handle in list(self.handles.values()):
             runs = await self._call(calls.Adopt(handle=handle), bool)
@@ -231,7 +246,7 @@ class HostLink:
 
     async def _end_orphans(self) -> None:
         """With another host process than before: end what the one before has started, and could tell nobody of."""
-        if self._reads or not self._was or self._was == self._uuid:
+        if self._reads or self._compared in ("", self._uuid):
             return
         names = sorted({*self._known(), *self.handles})
         call = calls.EndOrphans(token=self._token(), known=names, stop=StopTimesForm.of(KILL_AT_ONCE))
@@ -281,8 +296,8 @@ class HostLink:
 
     def require_connected(self) -> None:
         """Raises Unreachable, with why the host cannot be reached."""
-        if not self.connected:
-            raise Unreachable(f"host {self.host.name} cannot be reached: {self.problem or 'the connection was closed'}")
+        if (problem := self.problem) is not None:
+            raise Unreachable(f"host {self.host.name} cannot be reached: {problem}")
 
     async def call(self, call: calls.HostCall, result: type[T], seconds: float | None = CALL_SECONDS) -> T:
         """Carry out a call there. Raises what its back end has raised; Unreachable, CallTimeout: it is not known."""
@@ -384,17 +399,22 @@ async def _open(connection: SshConnection) -> tuple[asyncio.StreamReader, asynci
 
 
 async def _greeting(connection: SshConnection, reader: asyncio.StreamReader) -> frames.HostGreeting:
-    try:
-        async with within(GREET_SECONDS):
-            line = await _line(reader)
-    except asyncio.TimeoutError:
-        raise HostFault(
-            f"its host process does not answer within {GREET_SECONDS:g} s: is it stopped, or the link overloaded?"
-        ) from None
+    line = await _in_time(_line(reader))
     if line is None:
         await asyncio.sleep(0.1)  # what ssh says of it comes on another way
         raise HostFault(connection.why_not_forwarded())
     return frames.decode_greeting(line)
+
+
+async def _in_time(answer: Coroutine[Any, Any, T]) -> T:
+    """Raises HostFault where the host process does not answer in time."""
+    try:
+        async with within(GREET_SECONDS):
+            return await answer
+    except asyncio.TimeoutError:
+        raise HostFault(
+            f"its host process does not answer within {GREET_SECONDS:g} s: is it stopped, or the link overloaded?"
+        ) from None
 
 
 async def _frame(reader: asyncio.StreamReader) -> frames.FromHost | None:
