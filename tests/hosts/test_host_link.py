@@ -27,7 +27,7 @@ from midstride.runtime.backend_protocol import (
 )
 from midstride.runtime.hosts import call_forms as calls
 from midstride.runtime.hosts import host_frames as frames
-from midstride.runtime.hosts import host_link
+from midstride.runtime.hosts import host_link, hosts_backend
 from midstride.runtime.hosts.host_link import HostLink
 from midstride.runtime.hosts.host_order import HostOrder, HostReport
 from midstride.runtime.hosts.host_service import HostService
@@ -313,6 +313,43 @@ def test_what_may_have_been_started_as_the_link_broke_is_ended(tmp_path: Path, m
             assert far.platform.running == {"a"}
             far.near.down = None
             await until(lambda: not backend.problems() and not far.platform.running)
+            assert exits == []
+
+    run(body())
+
+
+@pytest.mark.parametrize("ends", ["link", "patience", "change"])
+def test_a_start_that_nobody_waits_for_any_more_is_ended_once_it_is_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: str
+) -> None:
+    """As of a node that a container takes long to load."""
+
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, _):
+            begin, begun, loaded = far.platform.start, asyncio.Event(), asyncio.Event()
+
+            async def start(launch: Launch) -> Handle:
+                begun.set()
+                await loaded.wait()
+                return await begin(launch)
+
+            monkeypatch.setattr(far.platform, "start", start)
+            if ends == "patience":
+                monkeypatch.setattr(hosts_backend, "START_SECONDS", 0.05)
+            starting = asyncio.ensure_future(backend.start(launch("a")))
+            await begun.wait()
+            if ends == "link":
+                _cut(backend)
+            elif ends == "change":
+                starting.cancel()
+            with pytest.raises(asyncio.CancelledError if ends == "change" else StartFailed):
+                await starting
+            await asyncio.sleep(0.1)  # the end has been asked for
+            loaded.set()
+            await until(lambda: far.platform.launches)
+            await until(lambda: not far.platform.running and not backend.problems())
             assert exits == []
 
     run(body())

@@ -366,7 +366,7 @@ def _lost_start_left(patch: pytest.MonkeyPatch) -> None:
     """A link that is back leaves what may have been started as it broke, so that the node runs twice."""
 
     async def end_lost(self: Any) -> None:
-        self.lost.clear()
+        self._lost.clear()
 
     plant(patch, host_link.HostLink, "_end_lost", end_lost)
 

@@ -88,7 +88,7 @@ class HostLink:
         self.state = frames.StateFrame()
         self.handles: dict[str, HandleForm] = {}  # of the components that run there, as far as is known
         self._ending: set[str] = set()  # the components that a call in progress ends
-        self.lost: set[str] = set()  # those of which it is not known whether they were started: they are to end
+        self._lost: set[str] = set()  # those of which it is not known whether they were started: they are to end
         self._ssh: SshConnection | None = None
         self._writer: asyncio.StreamWriter | None = None
         self._uuid, self._seen = "", 0  # of the host process, and its last event
@@ -254,10 +254,10 @@ class HostLink:
             self._on_change(f"{instance}, which was being started on host {self.host.name}, was ended there")
 
     async def _end_lost(self) -> None:
-        """End what may have been started as the link broke: nobody has waited for it."""
-        for instance in sorted(self.lost):
+        """End what may have been started, and nobody has waited for."""
+        for instance in sorted(self._lost):
             await self._call(calls.End(instance=instance, stop=StopTimesForm.of(KILL_AT_ONCE)), list[RemainingForm])
-            self.lost.discard(instance)
+            self._lost.discard(instance)
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         while True:
@@ -275,11 +275,14 @@ class HostLink:
                 case frames.StateFrame():
                     self.state = frame
                 case frames.WantedFrame():
-                    task = asyncio.get_running_loop().create_task(self._bring(frame))
-                    self._tasks.add(task)
-                    task.add_done_callback(self._tasks.discard)
+                    self._begin(self._bring(frame))
                 case _:
                     pass
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     def _exited(self, exited: ExitedForm) -> None:
         self.handles.pop(exited.instance, None)
@@ -330,6 +333,17 @@ class HostLink:
             return msgspec.json.decode(answer.result, type=result)
         except INVALID as error:
             raise ProtocolError(f"host {self.host.name} has answered with something else: {error}") from None
+
+    def lost(self, instance: str) -> None:
+        """Nobody waits any more for the start of ``instance``: it is ended, now or once the link is back."""
+        self._lost.add(instance)
+
+        async def end() -> None:
+            with contextlib.suppress(BackendError):  # the next link begins with it
+                await self._end_lost()
+
+        if self.connected:
+            self._begin(end())
 
     async def measure_clock(self) -> ClockOffset:
         """By how much the system clock there is ahead of the one here. Raises BackendError."""

@@ -65,6 +65,8 @@ class HostService:
         self._uuid = uuid.uuid4().hex
         self._token: str | None = None
         self._running: set[str] = set()
+        self._starting: dict[str, asyncio.Event] = {}  # set once the start is over
+        self._answering: set[asyncio.Task[None]] = set()  # the calls in progress
         self._events: deque[frames.ExitFrame] = deque(maxlen=KEPT_EVENTS)
         self._number = 0
         self._manager: _Client | None = None
@@ -205,14 +207,13 @@ class HostService:
     async def _answer_calls(
         self, client: _Client, reader: asyncio.StreamReader, allowed: tuple[type, ...] = (object,)
     ) -> None:
-        tasks: set[asyncio.Task[None]] = set()
         while (line := await _line(reader)) is not None:
             frame = frames.decode_from_manager(line)
             if not isinstance(frame, frames.CallFrame) or not isinstance(frame.call, allowed):
                 raise ProtocolError("not a call, or one that the client may not make")
             task = asyncio.get_running_loop().create_task(self._answer(client, frame))  # it continues without the link
-            tasks.add(task)
-            task.add_done_callback(tasks.discard)
+            self._answering.add(task)
+            task.add_done_callback(self._answering.discard)
 
     async def _answer(self, client: _Client, frame: frames.CallFrame) -> None:
         try:
@@ -246,6 +247,8 @@ class HostService:
                     self._running.add(call.handle.instance)
                 return runs
             case calls.End():
+                if (starting := self._starting.get(call.instance)) is not None:  # nobody waits for it
+                    await starting.wait()
                 killed = await backend.end(call.instance, call.stop.times())
                 self._running.discard(call.instance)
                 return [RemainingForm.of(each) for each in killed]
@@ -271,12 +274,18 @@ class HostService:
         launch = call.launch.launch(self._directory)
         if not self._directory.is_dir():
             raise StartFailed(f"{launch.instance}: the folder {self._directory} is not there")
+        if launch.instance in self._starting:
+            raise StartFailed(f"{launch.instance}: an earlier start of that name has not ended yet")
         self._running.add(launch.instance)  # so that this process does not end meanwhile
+        self._starting[launch.instance] = over = asyncio.Event()
         try:
             return HandleForm.of(await self._backend.start(launch))
         except BaseException:
             self._running.discard(launch.instance)
             raise
+        finally:
+            del self._starting[launch.instance]  # of no other start, see above
+            over.set()
 
     def _read_log(self, call: calls.ReadLog) -> calls.LogPiece:
         path = self._logs / call.file

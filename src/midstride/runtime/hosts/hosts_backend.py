@@ -283,12 +283,12 @@ class HostsBackend(Backend):
         self._host_of[launch.instance] = launch.host
         try:
             form = await link.call(calls.Start(launch=LaunchForm.of(launch)), HandleForm, START_SECONDS)
-        except (Unreachable, CallTimeout) as error:  # it may have been started
-            link.lost.add(launch.instance)
+        except BaseException as error:
             self._host_of.pop(launch.instance, None)
-            raise StartFailed(f"{launch.instance}: {error}") from None
-        except BaseException:
-            self._host_of.pop(launch.instance, None)
+            if isinstance(error, (Unreachable, CallTimeout, asyncio.CancelledError)):  # it may have been started
+                link.lost(launch.instance)
+            if isinstance(error, (Unreachable, CallTimeout)):
+                raise StartFailed(f"{launch.instance}: {error}") from None
             raise
         if form.instance != launch.instance:
             raise StartFailed(f"{launch.instance}: host {launch.host} has started {form.instance!r} instead")
