@@ -31,7 +31,7 @@ from midstride.runtime.hosts import host_link, hosts_backend
 from midstride.runtime.hosts.host_link import HostLink
 from midstride.runtime.hosts.host_order import HostOrder, HostReport
 from midstride.runtime.hosts.host_service import HostService
-from midstride.runtime.hosts.hosts_backend import HostsBackend
+from midstride.runtime.hosts.hosts_backend import HostsBackend, remove_socket_folder, socket_folder
 from midstride.runtime.hosts.ssh_connection import HostFault, SshConnection
 from midstride.runtime.manager_clock import SystemClock
 from midstride.runtime.records.status_forms import Middleware
@@ -195,6 +195,17 @@ async def system(folder: Path, far: Far) -> AsyncIterator[tuple[HostsBackend, li
 
 def launch(instance: str, **more: Any) -> Launch:
     return Launch(instance, "", ("python3", "x.py"), "token", Path("/nowhere"), host="arm", **more)
+
+
+def test_a_folder_that_ssh_would_not_take_as_it_is_has_a_link_for_its_sockets(tmp_path: Path) -> None:
+    for name in ("of a user", "a%h", "a:b", 90 * "x"):
+        workspace = Workspace(tmp_path / name)
+        workspace.path.mkdir()
+        folder = socket_folder(workspace)
+        assert (workspace.path / "hosts").is_symlink() and folder.stat().st_mode & 0o777 == 0o700
+        assert name not in str(folder) and socket_folder(workspace) == folder
+        remove_socket_folder(workspace)
+        assert not folder.exists() and not (workspace.path / "hosts").is_symlink()
 
 
 def test_a_component_is_started_watched_and_ended_on_its_host(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ TESTS = {
     "SSH answers no question and forwards no agent and no display.": "test_ssh_asks_nothing_and_forwards_nothing_else",
     "What a host answers is data: nothing of it becomes a command, and no path but that of its socket, which SSH takes "
     "back to the host.": "test_a_path_that_a_host_answers_with_is_checked_before_it_is_forwarded",
-    "Of its logs, only files with names of logs are copied, into the folder of logs.": (
+    "Of its logs, only files with names of logs are copied, into a folder of this host alone below that of logs.": (
         "test_a_host_names_no_file_outside_the_folder_of_logs"
     ),
     "The folders of sockets have mode 0700 and the sockets 0600, on both sides.": (

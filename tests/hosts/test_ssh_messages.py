@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,8 @@ MESSAGES = [
     (255, "", "ended with status 255, and said nothing"),
     (2, "midstride: there is no command `host`; did you mean `log`?\n", "its Midstride has no command `host`"),
     (1, "something\x1b[2J else\n", "ended with status 1: something\\x1b[2J else"),
+    (1, "setup.bash: line 3: /opt/x: Permission denied\nno\n", "`ssh robot@arm` ended with status 1: no"),
+    (-9, "", "was ended by signal 9, and said nothing"),
 ]
 
 
@@ -77,12 +80,29 @@ def test_nothing_secret_and_nothing_of_the_order_is_in_the_arguments(tmp_path: P
     assert not any("folder" in word or "token" in word for word in ssh.connect_command(ARM, tmp_path / "c", {}))
 
 
+def test_a_forwarding_adds_none_of_the_users_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as a `LocalForward`, which opens a port here."""
+    (tmp_path / "config").write_text("Host arm\n  LocalForward 127.0.0.1:18999 127.0.0.1:1\n")
+    monkeypatch.setenv(ssh.CONFIG_VARIABLE, str(tmp_path / "config"))
+    words = ssh.forward_command(HostSpec("arm", "arm"), tmp_path / "c", tmp_path / "arm.sock", "/opt/host.sock")
+    shown = subprocess.run([words[0], "-G", *words[1:]], capture_output=True, text=True, check=True).stdout
+    found = [line for line in shown.splitlines() if line.startswith("localforward")]
+    assert found == [f"localforward {tmp_path / 'arm.sock'} /opt/host.sock"]
+
+
 def test_another_configuration_of_ssh_can_be_named(tmp_path: Path) -> None:
     assert ssh.connect_command(ARM, tmp_path / "c", {ssh.CONFIG_VARIABLE: "/x"})[:3] == ["ssh", "-F", "/x"]
 
 
 @pytest.mark.parametrize(
-    "path", ["/tmp/a:b/host.sock", "relative/host.sock", "/tmp/x/other.sock", "/" + 120 * "a" + "/host.sock"]
+    "path",
+    [
+        "/tmp/a:b/host.sock",
+        "/tmp/a%b/host.sock",
+        "relative/host.sock",
+        "/tmp/x/other.sock",
+        "/" + 120 * "a" + "/host.sock",
+    ],
 )
 def test_a_path_that_a_host_answers_with_is_checked_before_it_is_forwarded(path: str) -> None:
     line = json.dumps({"midstride_host": HOST_PROTOCOL, "socket": path, "components": "/tmp/components"}).encode()

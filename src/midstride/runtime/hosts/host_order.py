@@ -20,7 +20,7 @@ SHARED_VARIABLES: Final = ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "MIDSTRIDE_DIA
 # The longest line of either side (bytes), and the longest path of a socket that a forwarding takes.
 LONGEST_LINE: Final = 64 * 1024
 LONGEST_SOCKET: Final = 107
-_SOCKET: Final = re.compile(r"/[A-Za-z0-9_./@+~%=,-]+/host\.sock")
+_SOCKET: Final = re.compile(r"/[A-Za-z0-9_./@+~=,-]+/host\.sock")
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_\-]*")
 # A word at the start of the line, as a login shell may print others before it.
 HOST_MARK: Final = '{"midstride_host":'

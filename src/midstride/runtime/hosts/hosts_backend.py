@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Collection, Container, Coroutine, Iterable, Mapping, Sequence
@@ -57,6 +58,8 @@ START_SECONDS: Final = 60.0
 END_SECONDS: Final = 40.0
 # The room for the name of a host in a socket's path, and for what OpenSSH appends while it makes one (bytes).
 _LONGEST_NAME: Final = 53
+# A path that OpenSSH takes as it is.
+_PLAIN: Final = re.compile(r"[A-Za-z0-9_./@+=,-]+")
 
 
 class HostsTransport:
@@ -101,11 +104,11 @@ class HostsTransport:
 def socket_folder(workspace: Workspace) -> Path:
     """The folder ``hosts`` of the sockets of a system's links, which only its user can open.
 
-    OpenSSH takes no longer paths than the kernel, and extends that of its own socket: below a workspace with a long
-    path, the folder is a link to one in the temporary folder.
+    OpenSSH takes no longer paths than the kernel, extends that of its own socket, and gives a meaning to spaces, colons
+    and `%`: below a workspace with such a path, the folder is a link to one in the temporary folder.
     """
     folder = workspace.path / "hosts"
-    if len(os.fsencode(folder)) + _LONGEST_NAME <= LONGEST_SOCKET:
+    if len(os.fsencode(folder)) + _LONGEST_NAME <= LONGEST_SOCKET and _PLAIN.fullmatch(str(folder)):
         folder.mkdir(mode=0o700, exist_ok=True)
         return folder
     if not folder.is_dir():

@@ -58,12 +58,14 @@ def remote_command(host: HostSpec) -> str:
     return f"exec bash -c {shlex.quote(_WITH_SETUP)} midstride-host {shlex.quote(host.setup)}"
 
 
-def forward_command(
-    host: HostSpec, control: Path, local: Path, remote: str, environment: Mapping[str, str] = os.environ
-) -> list[str]:
-    """The command that has a connection forward the socket ``local`` to ``remote``, a path on the host."""
-    words = ["-o", f"ControlPath={control}", "-O", "forward", "-o", "StreamLocalBindMask=0177"]
-    return [*_ssh(environment), *words, "-o", "StreamLocalBindUnlink=yes", "-L", f"{local}:{remote}", "--", host.ssh]
+def forward_command(host: HostSpec, control: Path, local: Path, remote: str) -> list[str]:
+    """The command that has a connection forward the socket ``local`` to ``remote``, a path on the host.
+
+    It talks to the connection alone, so it reads no configuration: what that forwards besides, such as a port, would be
+    opened as well.
+    """
+    words = ["-F", "/dev/null", "-o", f"ControlPath={control}", "-O", "forward", "-o", "StreamLocalBindMask=0177"]
+    return ["ssh", *words, "-o", "StreamLocalBindUnlink=yes", "-L", f"{local}:{remote}", "--", host.ssh]
 
 
 def _ssh(environment: Mapping[str, str]) -> list[str]:
@@ -111,10 +113,10 @@ _MESSAGES: Final = (
 )
 
 
-def meaning(host: HostSpec, status: int | None, errors: str) -> str:
+def meaning(host: HostSpec, status: int, errors: str) -> str:
     """One sentence on why the command of :func:`connect_command` ended, with what to do.
 
-    ``errors``: the end of what it has written to standard error. ``status``: None where it was killed.
+    ``errors``: the end of what it has written to standard error. ``status``: negative for a signal.
     """
     last = last_line(errors)
     if status in (_NO_COMMAND, _NOT_FOUND):
@@ -129,10 +131,10 @@ def meaning(host: HostSpec, status: int | None, errors: str) -> str:
         return f"its `setup` {host.setup} is not there or cannot be read: correct it, or create the file there"
     if status == _WRONG_USE and "host" in errors:
         return "its Midstride has no command `host`: install the same version there as here"
-    for pattern, words in _MESSAGES:
+    for pattern, words in _MESSAGES if status == _SSH else ():  # else `setup` or another program there may say so
         if re.search(pattern, errors):
             return words.format(to=host.ssh, last=last)
-    how = "was ended" if status is None else f"ended with status {status}"
+    how = f"was ended by signal {-status}" if status < 0 else f"ended with status {status}"
     return f"`ssh {host.ssh}` {how}" + (f": {last}" if last else ", and said nothing")
 
 

@@ -62,7 +62,7 @@ class SshConnection:
             ) from None
         if report.problem is not None:
             raise HostFault(report.problem)
-        await self._forward(report.socket, environment)
+        await self._forward(report.socket)
         self.report = report
         return report
 
@@ -87,19 +87,14 @@ class SshConnection:
             except ValueError:
                 raise HostFault("its login prints too much before `midstride host` answers") from None
             if line.startswith(HOST_MARK.encode()):
+                self._errors.clear()  # they are of the login
                 try:
                     return HostReport.read(line)
                 except ProtocolError as error:
                     raise HostFault(str(error)) from None
             if not line:
-                status = await self._process.wait()
-                await self._reading
-                raise HostFault(self.why_ended(status))
+                raise HostFault(await self.ended())
         raise HostFault("its login prints too much before `midstride host` answers")
-
-    def why_ended(self, status: int | None) -> str:
-        """The reason why the connection ended, and what to do."""
-        return ssh.meaning(self.host, status, self.errors)
 
     def why_not_forwarded(self) -> str:
         """The reason why the forwarded socket was closed before the host process greeted."""
@@ -118,9 +113,9 @@ class SshConnection:
             self._errors += data
             del self._errors[:-_KEPT_ERRORS]
 
-    async def _forward(self, remote: str, environment: Mapping[str, str]) -> None:
+    async def _forward(self, remote: str) -> None:
         self.local.unlink(missing_ok=True)
-        words = ssh.forward_command(self.host, self.control, self.local, remote, environment)
+        words = ssh.forward_command(self.host, self.control, self.local, remote)
         forwarding = await asyncio.create_subprocess_exec(*words, stdin=DEVNULL, stdout=DEVNULL, stderr=PIPE)
         try:
             async with within(FORWARD_SECONDS):
@@ -140,10 +135,12 @@ class SshConnection:
         return await open_socket(self.local, name)
 
     async def ended(self) -> str:
-        """Wait until the connection has ended, and return why."""
+        """Wait until the connection has ended, and return why, with what to do."""
         assert self._process is not None
+        assert self._reading is not None
         status = await self._process.wait()
-        return self.why_ended(status)
+        await asyncio.wait((self._reading,), timeout=_END_SECONDS)  # another process may have its standard error
+        return ssh.meaning(self.host, status, self.errors)
 
     async def close(self) -> None:
         """End the connection; the host process keeps running."""
