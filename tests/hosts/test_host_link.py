@@ -483,6 +483,8 @@ def test_another_host_process_ends_what_the_one_before_has_started_and_could_tel
             await far.run()
             await until(lambda: "started" not in far.platform.running and not backend.problems())
             assert far.platform.running == {"a", "here"} and exits == []
+            await backend.end("here", DEFAULT_STOP)
+            assert "here" not in [*backend._links["arm"]._known()], "what has ended is not kept for ever"
             assert "started, which was being started on host arm, was ended there" in notes
 
     run(body())

@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from midstride.cli.remote_logs import RemoteLogs
@@ -20,7 +21,7 @@ from midstride.errors import ManagerError
 from midstride.model.hosts import HostSpec
 from midstride.runtime.hosts import call_forms as calls
 from midstride.runtime.hosts import host_frames as frames
-from midstride.runtime.hosts import host_service, ssh
+from midstride.runtime.hosts import host_service, host_start, ssh
 from midstride.runtime.hosts.host_order import HostOrder
 from midstride.runtime.hosts.host_start import workspace_of
 from midstride.runtime.hosts.hosts_backend import socket_folder
@@ -84,6 +85,32 @@ def test_a_workspace_of_another_user_is_refused(folder: Path) -> None:
     os.chown(workspace.path, 65534, 65534)
     with pytest.raises(ManagerError, match="belongs to another user"):
         workspace_of(order)
+
+
+def test_a_check_beside_a_running_system_leaves_its_host_process_alone(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its own environment does not state all that the manager's order has."""
+    ended: list[int] = []
+    monkeypatch.setattr(host_start, "_end", ended.append)
+    monkeypatch.setattr(host_start, "start", lambda order, workspace: None)
+    order = HostOrder(protocol=frames.HOST_PROTOCOL, system="home", host="arm", folder=str(folder))
+    for running in (0, 2):
+        greeting = frames.HostGreeting(
+            protocol=frames.HOST_PROTOCOL,
+            version="1",
+            control=1,
+            system="home",
+            host="arm",
+            uuid="u",
+            pid=7,
+            running=running,
+            variables={"ROS_DOMAIN_ID": "0"},
+        )
+        monkeypatch.setattr(host_start, "running", lambda workspace, greeting=greeting: greeting)
+        assert host_start.find_or_start(msgspec.structs.replace(order, reads=True), "1").problem is None
+        assert ended == []
+    assert "with other settings (ROS_DOMAIN_ID=0)" in str(host_start.find_or_start(order, "1").problem)
 
 
 def test_ssh_asks_nothing_and_forwards_nothing_else(tmp_path: Path) -> None:

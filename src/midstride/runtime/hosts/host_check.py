@@ -23,7 +23,6 @@ from midstride.runtime.hosts.host_order import SHARED_VARIABLES, HostOrder, Host
 # The difference of two clocks from which it is said (s), and the free disk space below which that is (bytes).
 FAR_OFF: Final = 0.1
 LITTLE_ROOM: Final = 100 * 1024 * 1024
-_READINGS: Final = 5
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
@@ -53,7 +52,9 @@ async def check_host(
     """
     checked = CheckedHost(host)
     variables = {name: environment[name] for name in SHARED_VARIABLES if name in environment}
-    order = HostOrder(protocol=HOST_PROTOCOL, system=system, host=host.name, folder=host.folder, variables=variables)
+    order = HostOrder(
+        protocol=HOST_PROTOCOL, system=system, host=host.name, folder=host.folder, variables=variables, reads=True
+    )
     with tempfile.TemporaryDirectory(prefix="midstride-") as folder:
         link = HostLink(host, order, Path(folder), str, lambda _: None, reads=True)
         begun = time.monotonic()
@@ -104,16 +105,9 @@ def _notes_of(report: HostReport) -> list[str]:
 
 
 async def _read_clock(checked: CheckedHost, link: HostLink) -> None:
-    """Compare the clocks, by the quickest of several exchanges."""
-    best: tuple[int, int] | None = None
-    for _ in range(_READINGS):
-        before = time.time_ns()
-        there = await link.call(calls.ReadClock(), int)
-        after = time.time_ns()
-        if best is None or after - before < best[0]:
-            best = (after - before, there - (before + after) // 2)
-    assert best is not None
-    checked.offset, checked.uncertainty = best[1] / 1e9, best[0] / 2e9
+    """Compare the clocks. Raises BackendError."""
+    found = await link.measure_clock()
+    checked.offset, checked.uncertainty = found.ahead / 1e9, found.uncertainty / 1e9
     if abs(checked.offset) - checked.uncertainty > FAR_OFF:
         which = "ahead of" if checked.offset > 0 else "behind"
         checked.faults.append(

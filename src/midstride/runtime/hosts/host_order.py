@@ -28,7 +28,10 @@ Text: TypeAlias = Annotated[str, Meta(max_length=4096)]
 
 
 class HostOrder(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """``folder``: the one of the host's declaration. ``variables``: some of ``SHARED_VARIABLES``."""
+    """``folder``: the one of the host's declaration. ``variables``: some of ``SHARED_VARIABLES``.
+
+    ``reads``: it is no manager's. A host process that runs serves it as well, with whatever settings.
+    """
 
     protocol: int
     system: str
@@ -37,6 +40,7 @@ class HostOrder(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     folder: str | None = None
     middleware_settings: bool = True
     variables: dict[str, str] = {}
+    reads: bool = False
 
     @classmethod
     def read(cls, line: bytes) -> HostOrder:

@@ -109,8 +109,8 @@ def _usable(found: frames.HostGreeting | None, order: HostOrder, version: str) -
 
     Raises ManagerError where it watches components, and was started for other variables.
     """
-    if found is None:
-        return False
+    if found is None or order.reads:
+        return found is not None
     same = (found.variables, found.middleware_settings) == (order.variables, order.middleware_settings)
     if found.running == 0 and not (same and found.version == version):
         _end(found.pid)

@@ -170,7 +170,7 @@ class HostsBackend(Backend):
         self._links: dict[str, HostLink] = {}
         self._judged: set[str] = set()  # the hosts of which has been said what is not as it should be
         self._host_of: dict[str, str] = {}  # by instance, those of other hosts
-        self._here: set[str] = set()  # the instances that have been started on this host
+        self._here: set[str] = set()  # the instances that run on this host, or may
         self._on_exit: Callable[[Exited], object] = lambda _: None
         self._spares = (0, "")
         self._measuring = False
@@ -180,7 +180,7 @@ class HostsBackend(Backend):
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit
-        await self._own.open(on_exit)
+        await self._own.open(self._exited)
 
     async def close(self) -> None:
         await asyncio.gather(*(link.close() for link in self._links.values()))
@@ -265,6 +265,7 @@ class HostsBackend(Backend):
     def _exited(self, exited: Exited) -> None:
         if self._host_of.pop(exited.instance, None) is not None:
             self._own.disconnected(exited.instance)  # the graph may still show it
+        self._here.discard(exited.instance)
         self._on_exit(exited)
 
     # -- components ----------------------------------------------------------------------------------------
@@ -313,7 +314,9 @@ class HostsBackend(Backend):
 
     async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
         if instance not in self._host_of:
-            return await self._own.end(instance, stop)
+            killed_here = await self._own.end(instance, stop)
+            self._here.discard(instance)
+            return killed_here
         seconds = END_SECONDS + stop.longest + stop.asked + stop.drain + stop.patience
         try:
             link = self._on(self._host_of[instance])
