@@ -179,6 +179,41 @@ def test_scripts_are_read_in_order_and_one_that_fails_is_named(executable: str, 
     assert "status 125" in (message := failure(robot.status, given).message) and "no overlay" in message
 
 
+@pytest.mark.parametrize(
+    ("status", "outcome", "words"), [(0, "done", "no manager"), (1, "failed", "entirely: it hung")]
+)
+def test_what_was_changed_is_known_where_the_manager_does_not_answer_afterwards(
+    tmp_path: Path, status: int, outcome: str, words: str
+) -> None:
+    plan = {"steps": ["a step"], "start": {}, "target": {}, "continuity": {"headline": "nothing is lost"}}
+    report = {"outcome": outcome, "because": "it hung", "plan": plan, "continuity": plan["continuity"]}
+    error = {"error": {"kind": "NoManager", "message": "no manager runs"}}
+    history = {"changes": [{"version": 3}]}
+    command = tmp_path / "midstride"
+    command.write_text(
+        f"""#!/bin/sh
+case "$*" in
+*--dry-run*) echo '{json.dumps(plan)}' ;;
+*--yes*) touch {tmp_path}/changed; echo '{json.dumps(report)}'; exit {status} ;;
+history*) [ ! -e {tmp_path}/changed ] || exec echo '{json.dumps(error)}'; echo '{json.dumps(history)}' ;;
+esac
+"""
+    )
+    command.chmod(0o755)
+    failed = failure(robot.apply, parameters(robot.APPLY, file="/x.stride", executable=str(command)))
+    assert words in failed.message and failed.result["changed"] is True
+    assert failed.result["report"]["outcome"] == outcome and failed.result["version_before"] == 3
+    assert "version" not in failed.result
+
+
+def test_a_program_that_cannot_be_run_is_named(tmp_path: Path) -> None:
+    command = tmp_path / "midstride"
+    command.write_text("of another kind")
+    command.chmod(0o755)
+    failed = failure(robot.status, parameters(robot.STATUS, executable=str(command)))
+    assert failed.message.startswith(f"{command} cannot be run on the robot (")
+
+
 def test_a_command_of_something_else_is_no_answer(tmp_path: Path) -> None:
     other = tmp_path / "midstride"
     other.write_text("#!/bin/sh\necho hello\n")

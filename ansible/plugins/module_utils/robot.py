@@ -6,6 +6,7 @@ robot may be older than Midstride's: 3.8 is enough.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -113,7 +114,7 @@ class Robot:
                 universal_newlines=True,
                 start_new_session=True,
             )
-        except (FileNotFoundError, PermissionError) as error:
+        except OSError as error:
             raise Failure(_not_run(executable, str(error.strerror))) from None
         limit = self.parameters["timeout"]
         try:
@@ -135,13 +136,19 @@ def _not_run(executable: str, reason: str) -> str:
 
 def _interrupt(process: subprocess.Popen[str]) -> str:
     """Interrupt a command, as Ctrl-C does, and return what it says of the request that it has sent."""
-    os.killpg(process.pid, signal.SIGINT)
+    _signal(process, signal.SIGINT)
     try:
         said = process.communicate(timeout=INTERRUPT_SECONDS)[1].strip()
     except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
+        _signal(process, signal.SIGKILL)
         said = process.communicate()[1].strip()
     return said or "What becomes of its request is not known: `midstride log` shows it"
+
+
+def _signal(process: subprocess.Popen[str], number: int) -> None:
+    """Send a signal to a command and what it has started, unless all of that has just ended."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, number)
 
 
 def apply(parameters: Document, check: bool = False, diff: bool = False) -> Document:
@@ -200,7 +207,13 @@ def _change(robot: Robot, words: List[str], check: bool, diff: bool) -> Document
             failure.result["changed"] = failure.result.get("error") not in NOTHING_CHANGED
             raise
         result.update(_reported(report))
-        result["version"] = _version(robot)
+        try:
+            result["version"] = _version(robot)
+        except Failure as failure:  # what became of the change is known all the same
+            del result["version"]
+            if exit_status == 0:
+                failure.result = {**result, **failure.result}
+                raise
         if exit_status != 0:
             _fail(report, result)
     return result
