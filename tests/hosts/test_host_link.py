@@ -8,11 +8,13 @@ from collections.abc import AsyncIterator, Callable, Collection, Container, Coro
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from immutables import Map
 
+from midstride.cli import shutdown
 from midstride.errors import BackendError, CallTimeout, EndUnknown, StartFailed, Unreachable
 from midstride.model.component import DEFAULT_STOP, ParameterSection, StopTimes
 from midstride.model.hosts import HostSpec
@@ -486,6 +488,31 @@ def test_another_host_process_ends_what_the_one_before_has_started_and_could_tel
             await backend.end("here", DEFAULT_STOP)
             assert "here" not in [*backend._links["arm"]._known()], "what has ended is not kept for ever"
             assert "started, which was being started on host arm, was ended there" in notes
+
+    run(body())
+
+
+def test_down_without_a_manager_ends_what_that_was_starting_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def nothing(*_: Any) -> list[str]:
+        return []
+
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        far.platform.running |= {"a", "started"}
+        (tmp_path / "home").mkdir()
+        backend = HostsBackend(Platform(tmp_path / "home"), Workspace(tmp_path / "home"), connect=far.near)
+        entry = SimpleNamespace(handle=Handle("a", 7, 1.5, None, "arm"), instance=SimpleNamespace(started=None))
+        saved: Any = SimpleNamespace(
+            instances=[entry], specification=SimpleNamespace(hosts={"arm": ARM}), token="token"
+        )
+        monkeypatch.setattr(shutdown, "end_orphans", nothing)  # of this host
+        monkeypatch.setattr(shutdown, "stop_times", lambda component: DEFAULT_STOP)
+        _, failures = await shutdown._stop(backend, saved)
+        assert failures == [] and far.platform.running == set()
+        await far.kill()
 
     run(body())
 

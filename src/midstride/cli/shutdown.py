@@ -133,8 +133,11 @@ async def _stop(backend: Backend, saved: SavedState) -> tuple[list[KilledProcess
                     killed.append(KilledProcess(instance=name, seconds=process.seconds, words=words))
             except MidstrideError as error:
                 failures.append(f"{name}: {error}")
+        known = {handle.instance for handle, _ in handles}
         try:
-            await end_orphans(saved.token, {handle.instance for handle, _ in handles}, DEFAULT_STOP)
+            await end_orphans(saved.token, known, DEFAULT_STOP)
+            if hosts:
+                await backend.end_orphans(saved.token, known, DEFAULT_STOP)
         except BackendError as error:
             failures.append(str(error))
     finally:

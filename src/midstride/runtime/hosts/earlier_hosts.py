@@ -26,9 +26,12 @@ async def faults_on_hosts(saved: SavedState, own: Backend) -> list[str]:
     The links only read, so the earlier manager keeps its own.
     """
     handles = (entry.handle for entry in saved.instances if entry.handle is not None and not entry.done)
-    used = sorted({handle.host for handle in handles} - {""})
+    used, declared = sorted({handle.host for handle in handles} - {""}), saved.specification.hosts
+    unknown = [f"host {name}, where nodes may run, is not declared any more" for name in used if name not in declared]
+    if unknown:
+        return unknown
     with tempfile.TemporaryDirectory(prefix="midstride-") as folder:
-        found = (_faults_on(saved.specification.hosts[name], saved, own, Path(folder)) for name in used)
+        found = (_faults_on(declared[name], saved, own, Path(folder)) for name in used)
         return [fault for faults in await asyncio.gather(*found) for fault in faults]
 
 

@@ -94,7 +94,8 @@ class ReturnedHosts:
                 if outcome.outcome != "done":
                     again = "it is tried again" if attempt + 1 < ATTEMPTS else "`midstride apply` with the file does it"
                     self.events.add("note", f"{words} failed: {outcome.because}; {again}")
-            self._left |= {name for role in roles for name in self.system.configuration.instances_by_role[role]}
+            instances = self.system.configuration.instances_by_role
+            self._left |= {name for role in roles for name in instances.get(role, ())}
         except Exception:  # nothing awaits this task, so errors are logged here
             log.exception("what a change has left half done could not be completed")
         finally:
