@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from collections.abc import AsyncIterator, Callable, Collection, Container, Coroutine
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -436,10 +437,12 @@ def test_a_link_that_has_just_broken_says_so(tmp_path: Path, monkeypatch: pytest
         async with system(tmp_path, far) as (backend, _, _):
             await backend.start(launch("a"))
             monkeypatch.setattr(Near, "close", close)
+            before = time.time()
             _cut(backend)
             await until(lambda: backend._links["arm"]._ssh is None)
             assert backend.problems() == {"arm": "the connection was closed"}
-            assert [each.problem for each in backend.host_links()] == ["the connection was closed"]
+            (link,) = backend.host_links()
+            assert link.problem == "the connection was closed" and link.since >= before
             with pytest.raises(CallTimeout, match="host arm cannot be reached: the connection was closed"):
                 await backend.transport.connect(backend.transport.address("a"))
             left.set()

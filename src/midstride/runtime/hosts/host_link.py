@@ -143,8 +143,6 @@ class HostLink:
                 why = f"{type(error).__name__}: {error}"
             if now() - begun > LONGEST_PAUSE:
                 pause = FIRST_PAUSE
-            if self._problem is None:
-                self._since = time.time()
             before, self._problem = self._problem, why
             if why != before and self._tried.is_set():
                 self._on_change(f"host {self.host.name} cannot be reached: {why}")
@@ -184,6 +182,8 @@ class HostLink:
                         task.cancel()
                     await asyncio.gather(comparing, reading, ending, return_exceptions=True)
             finally:
+                if self.connected:
+                    self._since = time.time()
                 self._writer = self._ssh = None
                 writer.close()
                 self._fail_calls()

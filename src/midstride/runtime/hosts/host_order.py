@@ -64,7 +64,7 @@ class HostReport(msgspec.Struct, frozen=True, kw_only=True):
 
     ``lingers``: processes of the user outlive the last login, None where that is not known; ``kills``: logind kills
     those of a session that ends. ``range``: the discovery range that is set there. ``time_ns``: the system clock
-    (unix ns) as the answer was written. ``notes``: what is not as it should be, and does not prevent a start.
+    (unix ns) as the answer was written.
     """
 
     midstride_host: int
