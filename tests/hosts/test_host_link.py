@@ -343,6 +343,14 @@ def test_a_start_that_nobody_waits_for_any_more_is_ended_once_it_is_over(
         await far.run()
         async with system(tmp_path, far) as (backend, exits, _):
             begin, begun, loaded = far.platform.start, asyncio.Event(), asyncio.Event()
+            carry_out, asked = HostService._call, asyncio.Event()
+
+            async def called(service: HostService, call: calls.HostCall) -> Any:
+                if isinstance(call, calls.End):
+                    asked.set()
+                return await carry_out(service, call)
+
+            monkeypatch.setattr(HostService, "_call", called)
 
             async def start(launch: Launch) -> Handle:
                 begun.set()
@@ -360,7 +368,7 @@ def test_a_start_that_nobody_waits_for_any_more_is_ended_once_it_is_over(
                 starting.cancel()
             with pytest.raises(asyncio.CancelledError if ends == "change" else StartFailed):
                 await starting
-            await asyncio.sleep(0.1)  # the end has been asked for
+            await asked.wait()
             loaded.set()
             await until(lambda: far.platform.launches)
             await until(lambda: not far.platform.running and not backend.problems())
