@@ -423,7 +423,8 @@ def test_an_old_side_that_has_done_its_part_writes_again_when_the_new_one_cannot
     in_lab(tmp_path, main)
 
 
-def test_an_old_side_leaves_the_gate_to_a_later_cut(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", ["is cancelled", "is detached"])
+def test_an_old_side_leaves_the_gate_to_a_later_cut(how: str, tmp_path: Path) -> None:
     """Its successor ends, and has handed over the topic before."""
 
     async def main(lab: Lab, simulator: Simulator) -> None:
@@ -436,7 +437,12 @@ def test_an_old_side_leaves_the_gate_to_a_later_cut(tmp_path: Path) -> None:
         at = await next_slot(lab, 0.2)
         await lab.change("new", "cut_out", cut="second", swaps=SWAPS, at=at, resume_after=1.0)
         await lab.change("newest", "cut_in", cut="second", swaps=SWAPS, at=at, epoch=at, peer="new")
-        await lab.change("new", "cancel_cut", cut="cut")
+        if how == "is cancelled":
+            await lab.change("new", "cancel_cut", cut="cut")
+        else:
+            await lab.read("newest", "await_cut", cut="second", timeout=5.0)
+            await lab.read("new", "await_cut", cut="second", timeout=5.0)
+            await lab.change("new", "detach", port="out", topic=TOPIC)
         await lab.sleep(1.0)
         assert not await reopened(lab), "the new one writes, by its later cut, or the newest one does"
         words = sides(await lab.received("sink"))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from midstride.backends.simulator.virtual_loop import run
@@ -15,7 +16,8 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT
 from midstride.runtime.process.component_client import Disconnected
-from midstride.wire.commands import ModesCommand
+from midstride.wire.commands import DetachCommand, ModesCommand
+from midstride.wire.state import LinkState
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import (
@@ -302,6 +304,31 @@ def test_a_better_mode_that_lacks_its_support_is_left_again(tmp_path: Path) -> N
         assert r.words("note") == ["listener.work is in mode normal, by its own report"]
 
     reconciling(configuration, tmp_path, body)
+
+
+def test_an_output_that_has_handed_over_after_all_is_detached(tmp_path: Path) -> None:
+    """A hand-over that the manager could not follow has been carried out: the old side must not write again later."""
+
+    async def body(r: ReconcilingBench) -> None:
+        r.client.report(reported(r.configuration.instances["talker"], talking(), gates={"out /chatter": "closed"}))
+        await r.reconciler.reconcile()
+        assert r.words("note") == ["talker.out is not attached to /chatter any more, by its own report"]
+        [detached] = r.client.of(DetachCommand, "talker")
+        assert (detached.port, detached.topic) == ("out", "/chatter")
+
+    reconciling(talking(), tmp_path, body)
+
+
+@pytest.mark.parametrize("link", [None, LinkState(gate="closed", count=0, fenced=True)])
+def test_an_output_that_is_gone_or_fenced_is_not_detached(link: LinkState | None, tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        state = reported(r.configuration.instances["talker"], talking())
+        ports = {"out": {} if link is None else {"/chatter": link}}
+        r.client.report(msgspec.structs.replace(state, ports=ports))
+        await r.reconciler.reconcile()
+        assert r.client.of(DetachCommand) == []
+
+    reconciling(talking(), tmp_path, body)
 
 
 # -- commands ------------------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from midstride.node.handover.cut import (
     comparable,
     reading,
 )
+from midstride.node.handover.cut_life import CutState
 from midstride.node.handover.cut_protocol import CutInTask, CutOutTask
 from midstride.node.handover.lease import LeaseKeeper, NewLease, OldLease, OldPeer
 from midstride.node.handover.state_transfer import StateExport, StateImport, mute, unmute
@@ -363,9 +364,12 @@ class HandoverCommands:
         return self.host.transport.cut_lock(command.cut)
 
     def give_back(self) -> None:
-        """New sides without any attachment left have nothing to write."""
-        for side in (side for sides in self._sides.values() for side in sides):
-            if isinstance(side, CutInTask) and side.is_detached:
+        """New sides without any attachment left have nothing to write; the right of one that has handed over since is
+        its successor's.
+        """
+        sides = [side for sides in self._sides.values() for side in sides]
+        for index, side in enumerate(sides):
+            if isinstance(side, CutInTask) and side.is_detached and not _handed_over(side, sides[index + 1 :]):
                 side.side.arbiter.give_back()
                 self._tell_old(side)
 
@@ -448,6 +452,16 @@ def _as_far_as_known(address: str) -> Iterator[None]:
         if OtherHostAddress.read(address) is None:
             raise
         raise CallTimeout(str(error)) from None
+
+
+def _handed_over(new: CutInTask, later: Sequence[Side]) -> bool:
+    """Return whether an output of ``new`` has been taken over from it in a later cut."""
+    return any(
+        isinstance(side, CutOutTask)
+        and side.status is CutState.DONE
+        and any(link in new.side.links for link in side.side.links)
+        for side in later
+    )
 
 
 def _in_order(links: Sequence[OutputLink]) -> bool:

@@ -21,6 +21,7 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import lower_modes
 from midstride.runtime.command_queue import CommandQueue
+from midstride.runtime.handover.new_publishers import DETACH_TIMEOUT
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.process.launcher import Launcher, maybe_done
 from midstride.runtime.records.events import EventLog
@@ -29,12 +30,14 @@ from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.observed_configuration import (
     changed_attachments,
     differs,
+    is_closed,
     own_degradations,
     own_degradations_in,
     unsupported_modes,
     with_attachments,
 )
 from midstride.runtime.watch.silence import SilenceMonitor
+from midstride.wire.commands import DetachCommand
 from midstride.wire.state import ComponentState
 
 log = logging.getLogger(__name__)
@@ -270,7 +273,10 @@ class Reconciler:
                 self.store.write_apart(self.system.apart)  # first: a manager that is killed in between finds it
                 self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.system.life)
-            configuration, touched, because = self._take_over_reported(configuration)
+            configuration, touched, because, handed_over = self._take_over_reported(configuration)
+            for port, topic in handed_over:
+                detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+                await self.client.undo(port.instance, detach)
             if not crashed and not degraded and not self.pending and not because:
                 return
             because += (exits[name].words for name in crashed)
@@ -303,14 +309,18 @@ class Reconciler:
 
     def _take_over_reported(
         self, configuration: Configuration
-    ) -> tuple[Configuration, list[FunctionalityRef], list[str]]:
+    ) -> tuple[Configuration, list[FunctionalityRef], list[str], list[tuple[PortRef, str]]]:
         """The configuration with the attachments that components report, what they concern, and what differed.
 
         They differ where a command timed out and has been carried out all the same, or could not be undone. A better
-        mode is accepted only where it lacks support, and so is about to be left: raising is a plan's affair.
+        mode is accepted only where it lacks support, and so is about to be left: raising is a plan's affair. Last, the
+        outputs, with their topics, that have handed over and are still there: they are to be detached, since the old
+        side of a cut writes again once the new one cannot (docs/protocols/cut.md), also long after that has handed
+        over to another.
         """
         touched: list[FunctionalityRef] = []
         because: list[str] = []
+        handed_over: list[tuple[PortRef, str]] = []
         for name in sorted(configuration.instances):
             state = self.system.life.responsive(name)
             lacking, besides = ([], []) if state is None else changed_attachments(configuration, state)
@@ -318,6 +328,9 @@ class Reconciler:
                 because.append(f"{port} is not attached to {connector} any more")
                 if configuration.is_output(port):
                     touched += configuration.consumers(connector)
+                    topic = configuration.topic(connector)
+                    if state is not None and is_closed(state, port, topic):
+                        handed_over.append((port, topic))
             if lacking:
                 touched += [ref for ref in configuration.modes if ref.instance == name]
             because += [f"{port} is attached to {connector}" for port, connector in besides]
@@ -332,7 +345,7 @@ class Reconciler:
                 configuration = configuration.with_modes(better)
         for words in because:
             self.events.add("note", f"{words}, by its own report")
-        return configuration, touched, because
+        return configuration, touched, because, handed_over
 
 
 def respond(

@@ -87,6 +87,12 @@ def changed_attachments(
     return lacking, [(port, by_topic.get(topic, topic)) for port, topic in unknown]
 
 
+def is_closed(state: ComponentState, port: PortRef, topic: str) -> bool:
+    """Return whether an output is there behind a gate that a hand-over has closed."""
+    link = state.ports.get(port.port, {}).get(topic)
+    return link is not None and link.gate == "closed" and not link.fenced
+
+
 def unsupported_modes(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
     """The functionalities of one component that report a better mode than the model has, and lack its support.
 
