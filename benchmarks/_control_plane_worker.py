@@ -67,6 +67,10 @@ class Plane:
 def specification(nodes: str) -> Any:
     from midstride.lang.load import load_text
 
+    return load_text(specification_text(nodes), "control_plane.stride").require()
+
+
+def specification_text(nodes: str) -> str:
     run = f"python3 {shlex.quote(str(NODES))}"
     sources = "".join(
         f"""
@@ -81,7 +85,7 @@ component {name} {{
 }}"""
         for name in ("Source", "OtherSource")
     )
-    text = f"""
+    return f"""
 system control_plane_benchmark
 contract Ticks = std_msgs/msg/String @ 50 Hz
 contract Text = std_msgs/msg/String
@@ -112,7 +116,6 @@ component Link {{
 }}
 {nodes}
 """
-    return load_text(text, "control_plane.stride").require()
 
 
 def pair() -> Any:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.foreign.lab import until
+from tests.hosts.two_hosts import missing
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 # Starts a process in a session of its own, and says its number.
@@ -46,6 +47,35 @@ def test_nothing_is_left_of_a_benchmark(how: signal.Signals) -> None:
     said, _ = benchmark.communicate(timeout=30)
     assert said.strip() == ("" if how is signal.SIGKILL else "ended as usual")
     until(lambda: not is_running(pid), "it is left behind")
+
+
+# Makes a network namespace, with a process that has no mark, and a folder.
+BENCHMARK_WITH_A_HOST = """
+import os, pathlib, subprocess, tempfile, time
+from _guard import guard, remove_at_end
+guard()
+folder = pathlib.Path(tempfile.mkdtemp())
+remove_at_end(folder)
+name = f"midstride-{os.getpid()}-host"
+subprocess.run(["ip", "netns", "add", name], check=True)
+sleep = ["nsenter", f"--net=/run/netns/{name}", "env", "-i", "sleep", "600"]
+process = subprocess.Popen(sleep, start_new_session=True)
+print(process.pid, name, folder, flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.skipif(missing() is not None, reason="network namespaces cannot be had here")
+def test_its_namespaces_and_folders_go_with_a_benchmark_that_is_killed() -> None:
+    command = [sys.executable, "-c", BENCHMARK_WITH_A_HOST]
+    benchmark = subprocess.Popen(command, cwd=BENCHMARKS, stdout=subprocess.PIPE, text=True)
+    assert benchmark.stdout is not None
+    pid, name, folder = benchmark.stdout.readline().split()
+    assert is_running(int(pid)) and Path("/run/netns", name).exists() and Path(folder).exists()
+    benchmark.kill()
+    benchmark.communicate(timeout=30)
+    until(lambda: not Path(folder).exists(), "the folder is left behind")
+    assert not is_running(int(pid)) and not Path("/run/netns", name).exists()
 
 
 # A benchmark that imports one of them starts processes.

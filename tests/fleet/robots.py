@@ -18,11 +18,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.hosts.two_hosts import SSHD
+from tests.hosts.two_hosts import CABLE, SSHD, traffic
 
 ROOT = Path(__file__).parents[2]
 TALKER = ROOT / "examples" / "talker" / "talker.stride"
-NETWORK, CABLE, BRIDGE = "10.212.77", "cable", "bridge"
+NETWORK, BRIDGE = "10.212.77", "bridge"
 # As the page on fleets has it: a cut is noticed after a few seconds.
 KEPT_ALIVE = "-o ServerAliveInterval=2 -o ServerAliveCountMax=2"
 # How long processes of a namespace may take to end after SIGTERM (s).
@@ -58,9 +58,7 @@ class Robot:
 
     def traffic(self) -> int:
         """The bytes that went over its network interface so far, both ways, with the headers of Ethernet."""
-        words = ["ip", "-n", self.namespace, "-s", "-j", "link", "show", CABLE]
-        (link,) = json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
-        return int(link["stats64"]["rx"]["bytes"]) + int(link["stats64"]["tx"]["bytes"])
+        return traffic(self.namespace)
 
 
 @dataclass

@@ -3,63 +3,23 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from tests.hosts.robots import Robot, robots
+from tests.hosts.counting import Heard, counting
+from tests.hosts.robots import Robot
 
 pytestmark = [pytest.mark.ros2]
-NODES = Path(__file__).parent / "_counter.py"
 # How often the node moves in the tests that are `long`: 20 or more for a measurement.
 MOVES = int(os.environ.get("MIDSTRIDE_MOVES", "20"))
 # At how many moments of a move the link is cut, every 0.1 s.
 CUTS = int(os.environ.get("MIDSTRIDE_CUTS", "8"))
-SPECIFICATION = """system moving
-contract Count = std_msgs/msg/String @ 50 Hz
-topic /count : Count
-component Counter {
-  run "python3 _counter.py"
-  output out
-  functionality work {
-    produces out
-    mode normal { guarantee out : Count }
-    mode degraded { }
-  }
-}
-node counter : Counter { out -> /count }
-"""
-
-
-@dataclass
-class Heard:
-    """What a recorder has heard: when (s), which number, from which instance."""
-
-    file: Path
-    rows: list[tuple[float, int, str]] = field(default_factory=list)
-
-    def read(self) -> Heard:
-        lines = [line.split() for line in self.file.read_text().splitlines()]
-        self.rows = [(float(at), int(number), instance) for at, number, instance in lines]
-        return self
-
-    def require_each_once_and_in_order(self) -> None:
-        numbers = [number for _, number, _ in self.rows]
-        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-
-    @property
-    def gaps(self) -> list[float]:
-        """Between the last message of an instance and the first of the next one, in periods."""
-        found = [(one, two) for one, two in pairwise(self.rows) if one[2] != two[2]]
-        return [(two[0] - one[0]) * 50.0 for one, two in found]
 
 
 @dataclass
@@ -83,33 +43,11 @@ class Moving:
             assert done.returncode == 0, done.stderr
 
 
-@contextmanager
-def recorder(robot: Robot, namespace: str, file: Path) -> Iterator[None]:
-    words = ["nsenter", f"--net=/run/netns/{namespace}", sys.executable, str(NODES), str(file)]
-    process = subprocess.Popen(words, env=robot.environment)
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait()
-
-
 @pytest.fixture
 def moving(tmp_path: Path) -> Iterator[Moving]:
     """The system runs, and both recorders hear it."""
-    files = tmp_path / "files"
-    files.mkdir()
-    shutil.copy(NODES, files)
-    with ExitStack() as stack:
-        robot = stack.enter_context(robots(files, SPECIFICATION))
-        moving = Moving(robot)
-        for host, namespace in (("manager", robot.hosts.near), ("arm", robot.hosts.far)):
-            moving.heard[host] = Heard(tmp_path / f"{host}.heard")
-            stack.enter_context(recorder(robot, namespace, moving.heard[host].file))
-        up = robot("up", robot.file, "-d")
-        assert up.status == 0, up.out + up.err
-        robot.until(lambda: all(each.read().rows for each in moving.heard.values()), "both hear it")
-        yield moving
+    with counting(tmp_path) as (robot, heard):
+        yield Moving(robot, heard)
 
 
 def require_whole(moving: Moving, moves: int) -> list[float]:

@@ -7,6 +7,7 @@ a configuration for one test, and so has the client (``MIDSTRIDE_SSH_CONFIG``).
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
 import subprocess
@@ -148,6 +149,12 @@ def _until(condition: Callable[[], bool], what: str, seconds: float = 10.0) -> N
     while not condition():
         assert time.monotonic() < deadline, what
         time.sleep(0.02)
+
+
+def traffic(namespace: str) -> int:
+    """The bytes that went over the cable of a namespace so far, both ways, with the headers of Ethernet."""
+    (link,) = json.loads(_ip("-n", namespace, "-s", "-j", "link", "show", CABLE))
+    return int(link["stats64"]["rx"]["bytes"]) + int(link["stats64"]["tx"]["bytes"])
 
 
 @contextlib.contextmanager
