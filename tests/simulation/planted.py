@@ -30,6 +30,7 @@ from midstride.runtime.records import state_store
 from midstride.runtime.records.disk import Database
 from midstride.runtime.restore import recovery
 from midstride.wire import commands, replies
+from midstride.wire.clock_offset import ClockOffset
 from tests.planting import plant, plant_value
 
 Plant = Callable[[pytest.MonkeyPatch], None]
@@ -413,6 +414,16 @@ def _silence_not_noticed(patch: pytest.MonkeyPatch) -> None:
     plant(patch, Shortfall, "exceeds", lambda self, periods, slow=True: False)
 
 
+def _offset_of_the_wrong_sign(patch: pytest.MonkeyPatch) -> None:
+    """The offset between the clocks of two hosts is taken the wrong way round."""
+    between = ClockOffset.between
+
+    def wrong(self: Any, third: Any) -> ClockOffset:
+        return between(third, self)
+
+    plant(patch, ClockOffset, "between", wrong)
+
+
 # Each with words of the violation by which it is found.
 PLANTED: Final[dict[str, tuple[Plant, str]]] = {
     function.__name__.strip("_").replace("_", " "): (function, words)
@@ -421,6 +432,7 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_resumed_without_lock, "are both heard on"),
         (_written_without_lock, " both "),
         (_lease_not_checked, "are both heard on"),
+        (_offset_of_the_wrong_sign, "without faults"),
         (_lost_start_left, "without faults"),
         (_exits_repeated, "is said to have exited, and runs"),
         (_unreachable_taken_for_crashed, "is said to have exited, and runs"),

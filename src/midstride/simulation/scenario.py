@@ -293,9 +293,8 @@ def _built_in_change(random: random.Random, specification: Specification) -> Pla
     replaceable = _REPLACEABLE["docking" if specification.name == "docking" else "rover"]
     if missing := sorted(set(nodes) - set(roles)):
         return PlanRequest(add=(nodes[missing[0]],), strategy=strategy)
-    if specification.hosts and random.random() < 0.2:
-        # State is not handed over between hosts: the old node is ended, and then the new one is started.
-        return PlanRequest(on=(_moved(random, specification),), strategy="paper")
+    if specification.hosts and random.random() < 0.25:
+        return PlanRequest(on=(_moved(random, specification),), strategy=strategy)
     members = specification.members_of("box")
     if members and random.random() < 0.2:
         return PlanRequest(restart=tuple(members), strategy=strategy)
@@ -325,8 +324,7 @@ def _built_in_change(random: random.Random, specification: Specification) -> Pla
 
 def _moved(random: random.Random, specification: Specification) -> tuple[str, str]:
     """A node, and another host for it."""
-    # What a topic admits alone is handed over in any plan.
-    role = random.choice([role for role in sorted(specification.nodes) if role != "driver"])
+    role = random.choice(sorted(specification.nodes))
     others = [host for host in (OWN_HOST, *_HOSTS) if host != specification.nodes[role].host]
     return role, word_of_host(random.choice(others))
 
