@@ -177,7 +177,7 @@ def test_every_operation_is_in_the_documentation() -> None:
     app = create_app(LiveView(Lifecycle(ScriptedManager().as_manager)))
     served = {(method.upper(), path) for path, methods in app.openapi()["paths"].items() for method in methods}
     page = (Path(__file__).parents[2] / "docs" / "http.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"^\| `([A-Z]+) (/api/v1[a-z/]*|/metrics)", page, re.MULTILINE)) == served
+    assert set(re.findall(r"^- `([A-Z]+) (/api/v1[a-z/]*|/metrics)", page, re.MULTILINE)) == served
 
 
 def test_answers_pass_through_whole() -> None:
