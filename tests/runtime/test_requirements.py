@@ -40,9 +40,8 @@ class EmergencyStop:
 
     def __init__(self, simulator: Simulator, qos: QoS = VOLATILE, type_: str = BOOL) -> None:
         self._network = simulator.network
-        self.writer: SimulatedWriter = self._network.create_writer(
-            cast(Any, SimpleNamespace(node="/estop", thawed_at=0.0)), TOPIC, type_, qos
-        )
+        process = SimpleNamespace(node="/estop", thawed_at=0.0, own_clock=simulator.time)
+        self.writer: SimulatedWriter = self._network.create_writer(cast(Any, process), TOPIC, type_, qos)
 
     async def says(self, released: bool) -> None:
         """Publish, once the manager has found it, and wait until that has arrived."""
