@@ -24,6 +24,7 @@ from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.change.change_permission import Override
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.manager import Manager
+from midstride.wire.pipe import MEMORY
 from tests.plan.slow_lowering import is_better_finished
 from tests.planting import plant
 from tests.runtime.systems import example, managed, replace
@@ -40,7 +41,7 @@ class EmergencyStop:
 
     def __init__(self, simulator: Simulator, qos: QoS = VOLATILE, type_: str = BOOL) -> None:
         self._network = simulator.network
-        process = SimpleNamespace(node="/estop", thawed_at=0.0, own_clock=simulator.time)
+        process = SimpleNamespace(node="/estop", thawed_at=0.0, own_clock=simulator.time, on=MEMORY)
         self.writer: SimulatedWriter = self._network.create_writer(cast(Any, process), TOPIC, type_, qos)
 
     async def says(self, released: bool) -> None:
