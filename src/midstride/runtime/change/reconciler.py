@@ -37,7 +37,7 @@ from midstride.runtime.watch.observed_configuration import (
     with_attachments,
 )
 from midstride.runtime.watch.silence import SilenceMonitor
-from midstride.wire.commands import DetachCommand
+from midstride.wire import commands
 from midstride.wire.state import ComponentState
 
 log = logging.getLogger(__name__)
@@ -275,7 +275,7 @@ class Reconciler:
             degraded = own_degradations(configuration, self.system.life)
             configuration, touched, because, handed_over = self._take_over_reported(configuration)
             for port, topic in handed_over:
-                detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+                detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
                 await self.client.undo(port.instance, detach)
             if not crashed and not degraded and not self.pending and not because:
                 return
