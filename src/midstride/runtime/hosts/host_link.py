@@ -224,7 +224,7 @@ class HostLink:
             )
 
     async def _compare_all(self) -> None:
-        """Learn what was missed, then end what is left. If the link ends meanwhile, the next one begins with it again."""
+        """Learn what was missed, then end what is left. If the link ends meanwhile, the next one begins with this."""
         await self._compare()
         await self._end_orphans()
         self._compared = self._uuid
