@@ -192,7 +192,8 @@ def measure_replacements(folder: Path, moves: int) -> list[Row]:
 def show(rows: list[Row], row: Row) -> None:
     """Print a row, and add it to ``rows``."""
     rows.append(row)
-    print(", ".join(f"{name} {value:.2f}" if isinstance(value, float) else f"{value}" for name, value in row.items()))
+    named = {name: f"{value:.2f}" if isinstance(value, float) else value for name, value in row.items()}
+    print(named.pop("kind"), *(f"{name} {value}" for name, value in named.items()), sep=", ")
     sys.stdout.flush()
 
 
