@@ -24,7 +24,7 @@ from midstride.runtime.hosts import host_frames as frames
 from midstride.runtime.hosts import host_service, host_start, ssh
 from midstride.runtime.hosts.host_order import HostOrder
 from midstride.runtime.hosts.host_start import workspace_of
-from midstride.runtime.hosts.hosts_backend import socket_folder
+from midstride.runtime.hosts.hosts_backend import remove_socket_folder, socket_folder
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import EXAMPLES
@@ -195,15 +195,16 @@ def test_a_host_names_no_file_outside_the_folder_of_logs(tmp_path: Path) -> None
 
     async def body() -> None:
         workspace = Workspace(tmp_path / "home")
-        (workspace.path / "hosts").mkdir(parents=True)
+        workspace.path.mkdir(exist_ok=True)
         workspace.logs.mkdir(exist_ok=True)
-        server = await asyncio.start_unix_server(accepted, workspace.path / "hosts" / "arm.sock")
+        server = await asyncio.start_unix_server(accepted, socket_folder(workspace) / "arm.sock")
         logs = RemoteLogs(workspace, lambda _: True)
         await asyncio.to_thread(logs.refresh)
         assert logs.problems == {} and [*workspace.logs.rglob("*.log")] == [workspace.logs / "arm" / "a.log"]
         assert list(tmp_path.rglob("*escaped*")) == []
         logs.close()
         server.close()
+        remove_socket_folder(workspace)
 
     run(body())
 
