@@ -235,7 +235,7 @@ def test_down_that_is_interrupted_says_what_the_manager_does(
     with monkeypatch.context() as patched:
         patched.setattr(shutdown, "wait_for_manager_exit", interrupt)
         said = interrupted_down()
-    goes_on = "The manager goes on stopping talker: `midstride status` shows what still runs."
+    goes_on = "The manager is still stopping talker: `midstride status` shows what still runs."
     ended = "The manager of talker has ended: `midstride down --system talker` stops what is left, if anything is."
     assert goes_on in said or ended in said
     until(lambda: "no system is running" in midstride("status").err)

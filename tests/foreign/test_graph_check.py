@@ -204,7 +204,7 @@ def test_a_process_that_has_made_no_node_is_refused_as_such(
     tmp_path: Path, gate_library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A node of its name may run, with the endpoints that are declared: the one that it is to replace."""
-    late = r"\d s after its start; if it takes longer to start, state `takes 1 s` after its `run` command$"
+    late = r"\d s after its start; if it takes longer to start, state `takes \d s` after its `run` command$"
     refused = f"the graph shows no node /node of its process, {late}"
     refuses(tmp_path, gate_library, monkeypatch, None, False, refused)
 

@@ -9,6 +9,8 @@ import sys
 from typing import Final
 
 SIGNAL: Final = signal.SIGUSR1
+# By its number: `sys.stderr` may be something that is no file.
+_STDERR: Final = 2
 
 
 def dump_stacks_on_signal(loop: asyncio.AbstractEventLoop) -> None:
@@ -18,7 +20,7 @@ def dump_stacks_on_signal(loop: asyncio.AbstractEventLoop) -> None:
     loop runs its next callback. To be called on the main thread, on which ``loop`` runs.
     """
     loop.add_signal_handler(SIGNAL, print_tasks, loop)
-    faulthandler.register(SIGNAL, all_threads=True, chain=True)
+    faulthandler.register(SIGNAL, file=_STDERR, all_threads=True, chain=True)
 
 
 def print_tasks(loop: asyncio.AbstractEventLoop) -> None:
