@@ -7,11 +7,9 @@ instance here may have the name of an earlier one there, and its log is not to b
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, Final, TypeVar
@@ -23,6 +21,7 @@ from midstride.runtime.hosts import call_forms as calls
 from midstride.runtime.hosts import host_frames as frames
 from midstride.runtime.workspace import Workspace
 from midstride.wire.frames import INVALID
+from midstride.wire.sockets import short_name
 
 T = TypeVar("T")
 
@@ -96,7 +95,7 @@ class _Reader:
         connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             connection.settimeout(ANSWER_SECONDS)
-            with _short(path) as name:
+            with short_name(path) as name:
                 connection.connect(name)
             reader = cls(connection, connection.makefile("rb"))
             frames.decode_greeting(reader.line())
@@ -133,13 +132,3 @@ class _Reader:
     def close(self) -> None:
         self.file.close()
         self.connection.close()
-
-
-@contextlib.contextmanager
-def _short(path: Path) -> Iterator[str]:
-    """A name of a socket that is no longer than a socket's may be. Raises OSError."""
-    descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
-    try:
-        yield f"/proc/self/fd/{descriptor}"
-    finally:
-        os.close(descriptor)

@@ -9,7 +9,7 @@ are the two ends of a connection. Nothing here uses ROS.
 
 PUBLIC = (
     "Accepted ClockAnswer ClockOffset ComponentHello ForwardedConnection HOST_PROTOCOL OtherHostAddress SAME_CLOCK "
-    "Word clock_offset introduce "
+    "Word clock_offset introduce short_name "
     "AnswerCommand AwaitIdleCommand AwaitMatchCommand AwaitRateCommand AwaitWriteCommand COMPONENTS Channel "
     "Claimed ClockMoment Command CommandHandler CommandServer ComponentReport ComponentState Connection "
     "CountWritesCommand CutClaimCommand CutLock CutClock CutInCommand CutOutCommand CutOutcome CutResult CutSwap "

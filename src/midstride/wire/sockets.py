@@ -154,7 +154,7 @@ class SocketFolder:
         listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         new = self.folder / f".{uuid.uuid4().hex}"
         try:
-            with _descriptor(self.folder) as folder:
+            with short_name(self.folder) as folder:
                 listening.bind(f"{folder}/{new.name}")
             new.chmod(0o600 if stat.S_IMODE(self.folder.stat().st_mode) == 0o700 else 0o660)
             listening.listen(_BACKLOG)
@@ -233,13 +233,13 @@ async def _open_at_once(path: Path) -> tuple[asyncio.StreamReader, asyncio.Strea
 def _connect(connecting: socket.socket, path: Path) -> None:
     """Connect at once or not at all: BlockingIOError where too many wait to be accepted. Raises OSError."""
     connecting.setblocking(False)
-    with _descriptor(path) as short:
+    with short_name(path) as short:
         connecting.connect(short)
 
 
 @contextlib.contextmanager
-def _descriptor(path: Path) -> Iterator[str]:
-    """A short name of ``path``. Raises OSError."""
+def short_name(path: Path) -> Iterator[str]:
+    """A name of ``path`` that is no longer than a socket's may be, valid within the block. Raises OSError."""
     descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
         yield f"/proc/self/fd/{descriptor}"

@@ -8,6 +8,7 @@ connection (:class:`ComponentHello`, :class:`BroughtHello`), which the host proc
 
 from __future__ import annotations
 
+import asyncio
 from typing import Final, TypeAlias, TypeVar
 
 import msgspec
@@ -128,6 +129,12 @@ _versioned: Final[msgspec.json.Decoder[_Versioned]] = msgspec.json.Decoder(_Vers
 def encode(frame: Frame) -> bytes:
     """One line, without its end."""
     return to_json(frame)
+
+
+async def write(writer: asyncio.StreamWriter, frame: Frame) -> None:
+    """Send a frame as a line, and wait until the other end keeps up. Raises OSError."""
+    writer.write(encode(frame) + b"\n")
+    await writer.drain()
 
 
 def decode_greeting(line: bytes) -> HostGreeting:

@@ -26,7 +26,7 @@ from midstride.runtime.hosts import call_forms as calls
 from midstride.runtime.hosts import host_frames as frames
 from midstride.runtime.hosts.call_forms import ExitedForm, HandleForm, RemainingForm, StopTimesForm, error_of
 from midstride.runtime.hosts.host_order import HostOrder, HostReport
-from midstride.runtime.hosts.passed_on import pass_on
+from midstride.runtime.hosts.passed_on import pass_on, read_line
 from midstride.runtime.hosts.ssh_connection import HostFault, SshConnection
 from midstride.runtime.timeouts import within
 from midstride.wire.clock_offset import ClockAnswer, ClockOffset, clock_offset
@@ -438,9 +438,6 @@ async def _frame(reader: asyncio.StreamReader) -> frames.FromHost | None:
 
 async def _line(reader: asyncio.StreamReader) -> bytes | None:
     try:
-        line = await reader.readline()
+        return await read_line(reader, frames.LONGEST_HOST_FRAME)
     except (OSError, ValueError):
         return None
-    if len(line) > frames.LONGEST_HOST_FRAME:
-        raise ProtocolError(f"a frame of more than {frames.LONGEST_HOST_FRAME} bytes")
-    return line[:-1] if line.endswith(b"\n") else None

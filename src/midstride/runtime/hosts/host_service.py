@@ -132,7 +132,7 @@ class HostService:
             variables=self._order.variables,
             middleware_settings=self._order.middleware_settings,
         )
-        await _write(writer, greeting)
+        await frames.write(writer, greeting)
         line = await _line(reader)
         if line is None:
             return
@@ -154,13 +154,13 @@ class HostService:
         try:
             connection = await self._connect(instance)
         except Unreachable as error:
-            await _write(writer, frames.Accepted(refused=str(error), gone=True))
+            await frames.write(writer, frames.Accepted(refused=str(error), gone=True))
             return
         except CallTimeout as error:
-            await _write(writer, frames.Accepted(refused=str(error)))
+            await frames.write(writer, frames.Accepted(refused=str(error)))
             return
         try:
-            await _write(writer, frames.Accepted())
+            await frames.write(writer, frames.Accepted())
             await pass_on(connection, reader, writer)
         finally:
             connection.close()
@@ -185,7 +185,7 @@ class HostService:
                 f"{self._order.system}, whose manager's state is gone: end them there (`kill {os.getpid()}`, then the "
                 "components), or use another `folder`"
             )
-            await _write(writer, frames.Accepted(refused=words))
+            await frames.write(writer, frames.Accepted(refused=words))
             return
         self._token = hello.token
         if self._manager is not None:  # of the same system: a connection that has not been noticed to be dead
@@ -353,11 +353,6 @@ class _Client:
 
 async def _line(reader: asyncio.StreamReader) -> bytes | None:
     return await read_line(reader, frames.LONGEST_HOST_FRAME)
-
-
-async def _write(writer: asyncio.StreamWriter, frame: Any) -> None:
-    writer.write(frames.encode(frame) + b"\n")
-    await writer.drain()
 
 
 def _user(connection: socket.socket) -> int:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Coroutine
+from typing import Any
 
 from midstride.errors import ProtocolError
 from midstride.wire.frames import LONGEST_FRAME
@@ -12,9 +13,12 @@ from midstride.wire.transport import Connection
 
 async def pass_on(connection: Connection, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Return once one of the two ends is gone. Neither is closed here."""
-    tasks = {
-        asyncio.ensure_future(each) for each in (_from_component(connection, writer), _to_component(reader, connection))
-    }
+    await until_one_ends(_from_component(connection, writer), _to_component(reader, connection))
+
+
+async def until_one_ends(*directions: Coroutine[Any, Any, None]) -> None:
+    """Run the two directions of a connection until one of them ends, however it does."""
+    tasks = {asyncio.ensure_future(each) for each in directions}
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:

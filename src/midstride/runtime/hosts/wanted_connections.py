@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
 from midstride.runtime.hosts import host_frames as frames
+from midstride.runtime.hosts.passed_on import until_one_ends
 from midstride.runtime.timeouts import within
 
 # How long the manager may take to bring a connection (s): less than the component waits for it.
@@ -51,7 +52,7 @@ class WantedConnections:
     ) -> None:
         """Serve a component here that wants to reach ``instance``, until one of the two ends is gone."""
         if manager is None:
-            await _write(writer, frames.Accepted(refused=f"{instance} cannot be reached: the manager cannot"))
+            await frames.write(writer, frames.Accepted(refused=f"{instance} cannot be reached: the manager cannot"))
             return
         self._number += 1
         number = self._number
@@ -62,12 +63,12 @@ class WantedConnections:
                 brought = await waiting
         except asyncio.TimeoutError:
             words = f"the manager has not connected to {instance} within {BRING_SECONDS:g} s"
-            await _write(writer, frames.Accepted(refused=words))
+            await frames.write(writer, frames.Accepted(refused=words))
             return
         finally:
             self._waiting.pop(number, None)
         try:
-            await _write(writer, frames.Accepted(refused=brought.hello.refused, gone=brought.hello.gone))
+            await frames.write(writer, frames.Accepted(refused=brought.hello.refused, gone=brought.hello.gone))
             if brought.hello.refused is None:
                 await _join((reader, writer), (brought.reader, brought.writer))
         finally:
@@ -90,21 +91,10 @@ _Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 async def _join(one: _Streams, other: _Streams) -> None:
     """Copy all bytes both ways; return once one of the two ends is gone."""
-    tasks = {asyncio.ensure_future(_copy(one[0], other[1])), asyncio.ensure_future(_copy(other[0], one[1]))}
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+    await until_one_ends(_copy(one[0], other[1]), _copy(other[0], one[1]))
 
 
 async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     while data := await reader.read(_LONGEST_PIECE):
         writer.write(data)
         await writer.drain()
-
-
-async def _write(writer: asyncio.StreamWriter, frame: frames.Accepted) -> None:
-    writer.write(frames.encode(frame) + b"\n")
-    await writer.drain()
