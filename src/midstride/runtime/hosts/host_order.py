@@ -63,8 +63,7 @@ class HostReport(msgspec.Struct, frozen=True, kw_only=True):
     """The host process as it was found or started. ``problem``: why there is none, and what to do.
 
     ``lingers``: processes of the user outlive the last login, None where that is not known; ``kills``: logind kills
-    those of a session that ends. ``range``: the discovery range that is set there. ``time_ns``: the system clock
-    (unix ns) as the answer was written.
+    those of a session that ends. ``range``: the discovery range that is set there.
     """
 
     midstride_host: int
@@ -73,10 +72,7 @@ class HostReport(msgspec.Struct, frozen=True, kw_only=True):
     socket: Text = ""
     components: Text = ""
     user: Text = ""
-    time_ns: int = 0
     free_bytes: int = 0
-    distribution: Text = ""
-    middleware: Text = ""
     range: Text = ""
     lingers: bool | None = None
     kills: bool | None = None

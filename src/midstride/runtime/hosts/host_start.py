@@ -96,12 +96,11 @@ def find_or_start(order: HostOrder, version: str) -> HostReport:
             socket=str(socket_of(workspace)),
             components=str(workspace.components),
             free_bytes=shutil.disk_usage(workspace.path).free,
-            distribution=os.environ.get("ROS_DISTRO", ""),
             range=os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
         )
     except (ManagerError, ProtocolError) as error:
         report = msgspec.structs.replace(report, problem=str(error)[:4000])
-    return msgspec.structs.replace(report, time_ns=time.time_ns())
+    return report
 
 
 def _usable(found: frames.HostGreeting | None, order: HostOrder, version: str) -> bool:
