@@ -58,7 +58,7 @@ node sink   : Sink   {{ in <- /swap }}
 def without_api(command: Sequence[str], gate: str, stream: Stream) -> str:
     """The specification of a source that is a plain node on `chatter`, behind a gate; ``command`` starts it.
 
-    It guarantees nine tenths of its rate: its timer is nobody's promise.
+    It guarantees nine tenths of its rate: a timer keeps no exact rate.
     """
     contract = f"{TYPE} @ {0.9 * stream.rate:g} Hz"
     run = f'run "{" ".join(command)}" gate {gate}'
@@ -141,7 +141,7 @@ class System:
 
 @contextmanager
 def running(host: Host, text: str) -> Iterator[System]:
-    """A system of this text that is up, with folders of its own."""
+    """A system of this text that is up, with its own folders."""
     with tempfile.TemporaryDirectory(prefix="ms") as folder:
         system = System(host, text, Path(folder))
         with system.up():
