@@ -148,7 +148,7 @@ def gap(heard: Any, begun: float, ended: float) -> float:
     """The longest silence between two messages of which one was heard meanwhile, in periods."""
     from tests.hosts.counting import RATE
 
-    times = [at for at, _, _ in heard.read().rows]
+    times = [each.heard for each in heard.read().rows]
     return max(two - one for one, two in pairwise(times) if two >= begun and one <= ended) * RATE
 
 
@@ -177,7 +177,7 @@ def measure_replacements(folder: Path, moves: int) -> list[Row]:
             for kind in KINDS:
                 show(rows, replaced(robot, heard, kind, next(components) if kind.startswith("on") else ""))
         for host, each in heard.items():
-            numbers = [number for _, number, _ in each.read().rows]
+            numbers = [message.number for message in each.read().rows]
             present = set(numbers)
             missed = len(set(range(numbers[0], max(numbers) + 1)) - present)
             disorder = sum(two < one for one, two in pairwise(numbers))

@@ -1,4 +1,7 @@
-"""A node that counts at 50 Hz, and keeps what it has counted; `record` writes down what a bare node hears of it."""
+"""A node that counts at 50 Hz, and keeps what it has counted; `record` writes down what a bare node hears of it.
+
+`plain` is a node without Midstride's API, whose numbers are those of the periods of the clock.
+"""
 
 from __future__ import annotations
 
@@ -40,11 +43,26 @@ def count() -> None:
     comp.start()
 
 
+def count_plain() -> None:
+    import rclpy
+
+    rclpy.init()
+    publisher = rclpy.create_node("counter").create_publisher(String, "count", 10)
+    number = int(time.time() * RATE)
+    while rclpy.ok():
+        number += 1
+        time.sleep(max(number / RATE - time.time(), 0.0))
+        publisher.publish(String(data=f"{number} {os.getpid()}"))
+
+
 def record(path: str) -> None:
-    """Each message in a line, after the time of its receipt (steady, s)."""
+    """Each message in a line, after the times of its receipt (steady, s) and of its publication (system, ns).
+
+    The subscription is reliable, as the node's topic is: a link that loses frames takes no message from it.
+    """
     import rclpy
     from rclpy.executors import ExternalShutdownException
-    from rclpy.qos import QoSProfile
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
 
     rclpy.init()
     node = rclpy.create_node(f"recorder_{os.getpid()}")
@@ -52,12 +70,18 @@ def record(path: str) -> None:
         node.create_subscription(
             String,
             TOPIC,
-            lambda message: file.write(f"{time.monotonic():.6f} {message.data}\n"),
-            QoSProfile(depth=1000),
+            lambda message, info: file.write(f"{time.monotonic():.6f} {info['source_timestamp']} {message.data}\n"),
+            QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE),
         )
         with contextlib.suppress(ExternalShutdownException):
             rclpy.spin(node)
 
 
 if __name__ == "__main__":
-    count() if len(sys.argv) == 1 else record(sys.argv[1])
+    if len(sys.argv) == 1:
+        count()
+    elif sys.argv[1] == "plain":
+        with contextlib.suppress(KeyboardInterrupt):
+            count_plain()
+    else:
+        record(sys.argv[1])

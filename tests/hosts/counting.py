@@ -10,8 +10,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 from tests.hosts.robots import Robot, robots
+from tests.hosts.slow_link import Slow
 
 NODES = Path(__file__).parent / "_counter.py"
 RATE = 50.0
@@ -29,29 +31,54 @@ component Counter {
 }
 node counter : Counter { out -> /count }
 """
+PLAIN = SPECIFICATION.replace('_counter.py"', '_counter.py plain" gate relay').replace(
+    "output out", "output out as count"
+)
+
+
+class Message(NamedTuple):
+    """``heard``: when (steady, s). ``written``: when its instance has published it (system, ns)."""
+
+    heard: float
+    written: int
+    number: int
+    instance: str
 
 
 @dataclass
 class Heard:
-    """What a recorder has heard: when (s), which number, from which instance."""
+    """What a recorder has heard."""
 
     file: Path
-    rows: list[tuple[float, int, str]] = field(default_factory=list)
+    rows: list[Message] = field(default_factory=list)
 
     def read(self) -> Heard:
         lines = [line.split() for line in self.file.read_text().splitlines()]
-        self.rows = [(float(at), int(number), instance) for at, number, instance in lines]
+        self.rows = [
+            Message(float(heard), int(written), int(number), instance) for heard, written, number, instance in lines
+        ]
         return self
 
-    def require_each_once_and_in_order(self) -> None:
-        numbers = [number for _, number, _ in self.rows]
+    def require_each_once(self) -> None:
+        numbers = sorted(each.number for each in self.rows)
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+    @property
+    def overtaken(self) -> int:
+        """How many messages were heard after one with a greater number."""
+        return sum(two.number < one.number for one, two in pairwise(self.rows))
 
     @property
     def gaps(self) -> list[float]:
         """Between the last message of an instance and the first of the next one, in periods."""
-        found = [(one, two) for one, two in pairwise(self.rows) if one[2] != two[2]]
-        return [(two[0] - one[0]) * RATE for one, two in found]
+        in_order = sorted(self.rows, key=lambda each: each.number)
+        found = [(one, two) for one, two in pairwise(in_order) if one.instance != two.instance]
+        return [(two.heard - one.heard) * RATE for one, two in found]
+
+    @property
+    def silences(self) -> list[float]:
+        """Between each message and the next one, in periods, the shortest first."""
+        return sorted((two.heard - one.heard) * RATE for one, two in pairwise(self.rows))
 
 
 @contextmanager
@@ -66,13 +93,15 @@ def recorder(robot: Robot, namespace: str, file: Path) -> Iterator[None]:
 
 
 @contextmanager
-def counting(folder: Path, text: str = SPECIFICATION) -> Iterator[tuple[Robot, dict[str, Heard]]]:
+def counting(
+    folder: Path, text: str = SPECIFICATION, slow: Slow | None = None
+) -> Iterator[tuple[Robot, dict[str, Heard]]]:
     """The system of ``text`` runs on two hosts, and a recorder on each of them hears the node."""
     files = folder / "files"
     files.mkdir()
     shutil.copy(NODES, files)
     with ExitStack() as stack:
-        robot = stack.enter_context(robots(files, text))
+        robot = stack.enter_context(robots(files, text, slow))
         heard = {}
         for host, namespace in (("manager", robot.hosts.near), ("arm", robot.hosts.far)):
             heard[host] = Heard(folder / f"{host}.heard")

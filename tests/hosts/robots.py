@@ -18,6 +18,7 @@ from typing import Any
 from midstride.runtime.process.reaper import process_info
 from tests.acceptance.support import ended
 from tests.cli.conftest import Done
+from tests.hosts.slow_link import Slow
 from tests.hosts.two_hosts import TwoHosts, two_hosts
 
 SECONDS = 40.0
@@ -86,6 +87,17 @@ class Robot:
                     found.append(int(path.name))
         return sorted(found)
 
+    def is_sound(self, nodes: int) -> bool:
+        """Whether the system is up and valid, with so many nodes, its host reached, and no other processes."""
+        status = self.status
+        return (
+            status["condition"]["state"] == "up"
+            and status["valid"]
+            and all(each["connected"] for each in status["hosts"])
+            and len(status["instances"]) == nodes
+            and set(self.programs()) == {each["pid"] for each in status["instances"]}
+        )
+
     def until(self, condition: Callable[[], bool], what: str, seconds: float = SECONDS) -> None:
         deadline = time.monotonic() + seconds
         while not condition():
@@ -110,15 +122,17 @@ class Robot:
 
 
 @contextlib.contextmanager
-def robots(files: Path, text: str) -> Iterator[Robot]:
+def robots(files: Path, text: str, slow: Slow | None = None) -> Iterator[Robot]:
     """The system of ``text`` while the context is open, on two hosts that both have the ``files``.
+
+    ``slow``: what the link between them does to frames, if it is not a cable.
 
     Where hosts cannot be had, the test is skipped.
     """
     system = text.split("system ", 1)[1].split()[0]
     folder = Path(tempfile.mkdtemp(prefix="ms-"))
     try:
-        with ended(), two_hosts(folder) as hosts:
+        with ended(), two_hosts(folder, slow) as hosts:
             (folder / "run").mkdir(mode=0o700)
             for name in ("near", "far"):
                 shutil.copytree(files, folder / name)

@@ -51,17 +51,6 @@ FAULTS: dict[str, Callable[[Robot], None]] = {
 }
 
 
-def sound(robot: Robot) -> bool:
-    """Whether the system is up and valid, and just the processes run that it has."""
-    status = robot.status
-    return (
-        status["condition"]["state"] == "up"
-        and status["valid"]
-        and len(status["instances"]) == 2
-        and set(robot.programs()) == {each["pid"] for each in status["instances"]}
-    )
-
-
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize(
     "command", [("replace", "talker", "NewTalker"), ("restart", "talker")], ids=["replace", "restart"]
@@ -77,7 +66,7 @@ def test_a_fault_during_a_change_leaves_a_system_that_is_as_the_manager_says(
         FAULTS[fault](robot)
         said, errors = changing.communicate(timeout=90)
         over = time.monotonic()
-        robot.until(lambda: sound(robot), f"{fault} after {moment} s: {said} {errors}", BOUND)
+        robot.until(lambda: robot.is_sound(2), f"{fault} after {moment} s: {said} {errors}", BOUND)
         longest = max(longest, time.monotonic() - over)
         outcomes.add(json.loads(said)["outcome"] if said else errors)
     print(f"{command[0]}, {fault}: {sorted(outcomes)}, as the manager says after {longest:.1f} s at most")
@@ -105,6 +94,6 @@ def test_a_host_process_killed_during_up_leaves_no_process_that_the_manager_does
             robot.until(lambda: bool(robot.status["hosts"][0]["connected"]), "the host is reached again", BOUND)
             if robot.status["crashed"]:
                 assert robot("restart", "talker", "--yes").status == 0
-            robot.until(lambda: sound(robot), f"after {moment} s: {said} {errors}", BOUND)
+            robot.until(lambda: robot.is_sound(2), f"after {moment} s: {said} {errors}", BOUND)
         assert robot("down").status == 0
         robot.until(lambda: robot.programs() == [], "nothing is left", BOUND)

@@ -19,6 +19,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.hosts import slow_link
+from tests.hosts.slow_link import Passed, Slow
+
 NETWORK, CABLE = "10.211.77", "cable"
 SSHD = "/usr/sbin/sshd"
 
@@ -38,12 +41,17 @@ def missing() -> str | None:
 
 @dataclass
 class TwoHosts:
-    """``folder``: of all that belongs to them. The manager's host is the namespace ``near``, the host `arm` ``far``."""
+    """``folder``: of all that belongs to them. The manager's host is the namespace ``near``, the host `arm` ``far``.
+
+    ``slow``: what the link between them does to frames, if it is not a cable.
+    """
 
     folder: Path
+    slow: Slow | None = None
     near: str = field(default_factory=lambda: f"midstride-{os.getpid()}-near")
     far: str = field(default_factory=lambda: f"midstride-{os.getpid()}-far")
     _server: subprocess.Popen[bytes] | None = None
+    _slow_link: subprocess.Popen[str] | None = None
 
     @property
     def config(self) -> Path:
@@ -71,7 +79,10 @@ class TwoHosts:
             for kind in ("all", "default"):  # no address of IPv6: the link is usable as soon as it is up
                 inside = ["ip", "netns", "exec", name, "sysctl", "-qw", f"net.ipv6.conf.{kind}.disable_ipv6=1"]
                 subprocess.run(inside, check=False, capture_output=True)
-        _ip("-n", self.near, "link", "add", CABLE, "type", "veth", "peer", "name", CABLE, "netns", self.far)
+        if self.slow is not None:
+            self._slow_link = slow_link.start([self.near, self.far], CABLE, self.slow)
+        else:
+            _ip("-n", self.near, "link", "add", CABLE, "type", "veth", "peer", "name", CABLE, "netns", self.far)
         for number, name in enumerate((self.near, self.far), start=1):
             _ip("-n", name, "address", "add", f"{NETWORK}.{number}/24", "dev", CABLE)
             for device in ("lo", CABLE):
@@ -134,8 +145,16 @@ class TwoHosts:
             self._server.wait()
             self._server = None
 
+    def stop_slow_link(self) -> Passed:
+        """Remove the link that is not a cable; what it has done."""
+        assert self._slow_link is not None
+        process, self._slow_link = self._slow_link, None
+        return slow_link.stop(process)
+
     def remove(self) -> None:
         self.stop_serving()
+        if self._slow_link is not None:
+            self.stop_slow_link()
         for name in (self.near, self.far):
             subprocess.run(["ip", "netns", "del", name], capture_output=True)
 
@@ -158,11 +177,17 @@ def traffic(namespace: str) -> int:
 
 
 @contextlib.contextmanager
-def two_hosts(folder: Path) -> Iterator[TwoHosts]:
-    """Two hosts while the context is open; the test is skipped where they cannot be had."""
-    if (why := missing()) is not None:
+def two_hosts(folder: Path, slow: Slow | None = None) -> Iterator[TwoHosts]:
+    """Two hosts while the context is open, with a cable or a ``slow`` link between them.
+
+    The test is skipped where they cannot be had.
+    """
+    why = missing()
+    if why is None and slow is not None and not os.access("/dev/net/tun", os.R_OK | os.W_OK):
+        why = "there is no /dev/net/tun for a slow link"
+    if why is not None:
         pytest.skip(f"two hosts cannot be had here: {why}")
-    hosts = TwoHosts(folder)
+    hosts = TwoHosts(folder, slow)
     try:
         hosts.make()
         yield hosts
