@@ -71,6 +71,7 @@ class Midstride:
 
     runtime: Path
     environment: dict[str, str] = field(default_factory=dict)
+    started: list[subprocess.Popen[str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         inherited = {name: value for name, value in os.environ.items() if name != "MIDSTRIDE_DEMO"}
@@ -107,8 +108,8 @@ class Midstride:
         return Done(done.returncode, done.stdout, done.stderr)
 
     def start(self, *words: str) -> subprocess.Popen[str]:
-        """A command that keeps running; its standard error is merged into its standard output."""
-        return subprocess.Popen(
+        """A command that keeps running, at most until the test ends; its standard error is merged into its output."""
+        process = subprocess.Popen(
             self.command(*words),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -117,6 +118,8 @@ class Midstride:
             cwd=ROOT,
             env=self.environment,
         )
+        self.started.append(process)
+        return process
 
     def manager(self, system: str) -> int:
         """The process of a running manager."""
@@ -180,6 +183,9 @@ def running() -> Iterator[Midstride]:
         try:
             command.down()
         finally:
+            for process in command.started:
+                with process:  # closes its output: what a failed test leaves open would fail a later one
+                    process.kill()
             shutil.rmtree(folder, ignore_errors=True)
 
 

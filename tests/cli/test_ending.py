@@ -105,7 +105,7 @@ node.create_timer(0.05, look)
 rclpy.spin(node)
 """
 
-# Subscribes until a capture has looked on for 2 s.
+# Says that it has heard something, and subscribes until a capture has looked on for 2 s.
 HEAR = """
 import sys, time
 import rclpy
@@ -113,7 +113,7 @@ from std_msgs.msg import String
 
 rclpy.init()
 node = rclpy.create_node("hear")
-node.create_subscription(String, sys.argv[1], lambda message: None, 10)
+node.create_subscription(String, sys.argv[1], lambda message: open("heard", "w").close(), 10)
 since = None
 while since is None or time.monotonic() < since + 2.0:
     rclpy.spin_once(node, timeout_sec=0.05)
@@ -182,6 +182,10 @@ def test_a_slow_start_and_a_lazy_output_are_waited_for_as_stated(midstride: Mids
     by_hand = ["lazy.py", "--ros-args", "-r", "__node:=by_hand", "-r", "out:=/by_hand"]
     others = [subprocess.Popen([sys.executable, *words], cwd=tmp_path) for words in (by_hand, ["hear.py", "/by_hand"])]
     try:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "heard").exists():
+            assert time.monotonic() < deadline, "nothing was heard"
+            time.sleep(0.05)
         captured = midstride.process("capture", "--seconds", "10", timeout=60)
     finally:
         for other in others:
