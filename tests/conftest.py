@@ -5,8 +5,8 @@ collected without ROS. There it is skipped, with the reason. A test of what Fast
 ``fast_dds`` as well, and is skipped where ``RMW_IMPLEMENTATION`` names another middleware. If ``MIDSTRIDE_NEEDS_ROS2``
 is set, ROS 2 is part of the environment: the test runs, and fails without it. The same holds for the markers ``alloy``
 (the Alloy Analyzer and Java), ``graphviz``, ``browser`` (Chromium), ``rust`` (what tools/rust builds), ``arm64`` (a
-compiler and an emulator) and ``ansible`` (what tools/ansible installs). tools/test sets these variables for everything
-that it was able to install.
+compiler and an emulator), ``ansible`` (what tools/ansible installs), ``hosts`` (network namespaces and an SSH server)
+and ``promtool``. tools/test sets these variables for everything that it was able to install.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ settings.register_profile(
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "daily"))
 
 _MODULES = {"ros2": "rclpy", "ros1": "rospy"}
-_MARKERS = (*_MODULES, "fast_dds", "alloy", "graphviz", "browser", "rust", "arm64", "ansible")
+_MARKERS = (*_MODULES, "fast_dds", "alloy", "graphviz", "browser", "rust", "arm64", "ansible", "hosts", "promtool")
 
 # ROS's own Python modules cause these warnings when they are imported.
 _ROS_WARNINGS = ("ignore:module 'sre_:DeprecationWarning", "ignore:.*pkg_resources.*:UserWarning")
@@ -107,6 +107,12 @@ def _unavailable(marker: str) -> str | None:
     if marker == "arm64":
         found = shutil.which("qemu-aarch64") and shutil.which("aarch64-linux-gnu-gcc")
         return None if found else "no emulator of arm64, or no compiler for it, is installed (tools/arm64)"
+    if marker == "promtool":
+        return None if shutil.which("promtool") else "promtool is not installed (`apt install prometheus`)"
+    if marker == "hosts":
+        from tests.hosts.two_hosts import missing
+
+        return missing()
     if marker == "rust":
         from tests.native import RUST_TALKER
 

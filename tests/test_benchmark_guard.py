@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from tests.foreign.lab import until
-from tests.hosts.two_hosts import missing
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 # Starts a process in a session of its own, and says its number.
@@ -65,7 +64,7 @@ time.sleep(600)
 """
 
 
-@pytest.mark.skipif(missing() is not None, reason="network namespaces cannot be had here")
+@pytest.mark.hosts
 def test_its_namespaces_and_folders_go_with_a_benchmark_that_is_killed() -> None:
     command = [sys.executable, "-c", BENCHMARK_WITH_A_HOST]
     benchmark = subprocess.Popen(command, cwd=BENCHMARKS, stdout=subprocess.PIPE, text=True)

@@ -69,8 +69,6 @@ def test_dependants_of_a_publisher_that_is_stopped_and_continued_come_back(
 
 def cut(folder: Path, count: int, *options: str, seconds: float) -> list[dict[str, Any]]:
     """What benchmarks/partition.py finds, in two network namespaces."""
-    if (why := benchmark("partition").missing()) is not None:
-        pytest.skip(f"no network namespaces can be made here: {why}")
     words = [sys.executable, str(BENCHMARKS / "partition.py"), "--runs", str(count), "--out", str(folder / "out.json")]
     with ended():
         process = subprocess.Popen([*words, *options], env={**os.environ, **ENVIRONMENT})
@@ -93,6 +91,7 @@ def cut(folder: Path, count: int, *options: str, seconds: float) -> list[dict[st
     return found
 
 
+@pytest.mark.hosts
 @pytest.mark.timeout(420)
 @pytest.mark.parametrize("length", [pytest.param(5, marks=pytest.mark.full), pytest.param(25, marks=pytest.mark.long)])
 def test_components_beyond_a_link_that_is_cut_fall_and_come_back(length: float, tmp_path: Path) -> None:
@@ -101,6 +100,7 @@ def test_components_beyond_a_link_that_is_cut_fall_and_come_back(length: float, 
 
 
 @pytest.mark.long
+@pytest.mark.hosts
 @pytest.mark.timeout(2400)
 def test_components_beyond_a_link_that_is_cut_often_come_back_each_time(tmp_path: Path) -> None:
     """As often as `MIDSTRIDE_PARTITION_RUNS` says."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -54,9 +53,7 @@ def test_each_rule_is_about_something_that_has_happened_or_looks_at_the_age_of_t
 
 
 def fired(tmp_path: Path, series: dict[str, str], at: str) -> str:
-    """What `promtool` says of the rules where none may fire at a time. Skips where it is not installed."""
-    if shutil.which("promtool") is None:
-        pytest.skip("promtool is not installed (`apt install prometheus`)")
+    """What `promtool` says of the rules where none may fire at a time."""
     (tmp_path / "rules.yml").write_text(yaml.safe_dump(RULES))
     test = {
         "interval": "15s",
@@ -75,6 +72,7 @@ def names(said: str) -> list[str]:
     return re.findall(r"alertname: (\w+), time", said)
 
 
+@pytest.mark.promtool
 def test_the_rules_fire_while_a_manager_writes_and_only_one_does_once_it_was_killed(tmp_path: Path) -> None:
     """A node is missing, and an output too slow, as the manager is killed after 5 min; another robot goes on."""
     killed = {

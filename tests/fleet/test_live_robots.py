@@ -16,17 +16,14 @@ import pytest
 from tests.acceptance.support import ended
 from tests.conftest import _claimed_domain
 from tests.fleet.robots import Fleet, fleet, new_program, release, tiring_program
-from tests.hosts.two_hosts import missing
 
 NUMBER = 8
 
-pytestmark = [pytest.mark.long, pytest.mark.ros2, pytest.mark.ansible]
+pytestmark = [pytest.mark.long, pytest.mark.ros2, pytest.mark.ansible, pytest.mark.hosts]
 
 
 @pytest.fixture(scope="module")
 def robots() -> Iterator[Fleet]:
-    if (why := missing()) is not None:
-        pytest.skip(f"robots with a network each cannot be had here: {why}")
     folder = Path(tempfile.mkdtemp(prefix="ms", dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None))
     try:
         with ended(), fleet(folder, [_claimed_domain() for _ in range(NUMBER)]) as found:

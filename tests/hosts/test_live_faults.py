@@ -13,7 +13,7 @@ import pytest
 from tests.cli.conftest import EXAMPLES
 from tests.hosts.robots import Robot, robots
 
-pytestmark = [pytest.mark.ros2, pytest.mark.long, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.ros2, pytest.mark.hosts, pytest.mark.long, pytest.mark.timeout(900)]
 
 # How long the link is cut (s): so that SSH notices, after 4 to 6 s, or does not.
 CUT = 8.0

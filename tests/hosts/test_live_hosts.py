@@ -14,7 +14,7 @@ from midstride.runtime.process.reaper import process_info
 from tests.cli.conftest import EXAMPLES
 from tests.hosts.robots import Robot, robots
 
-pytestmark = [pytest.mark.ros2]
+pytestmark = [pytest.mark.ros2, pytest.mark.hosts]
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from tests.hosts.counting import PLAIN, SPECIFICATION, Heard, Message, counting
 from tests.hosts.robots import Robot
 from tests.hosts.slow_link import Slow
 
-pytestmark = [pytest.mark.ros2]
+pytestmark = [pytest.mark.ros2, pytest.mark.hosts]
 # How often the node moves in the tests that are `long`: 20 or more for a measurement.
 MOVES = int(os.environ.get("MIDSTRIDE_MOVES", "20"))
 # How many moves have a fault, of each kind: one after the other, each at a later moment of the move.

@@ -12,7 +12,7 @@ import pytest
 from midstride.runtime.process.reaper import process_info
 from tests.hosts.robots import Robot, robots
 
-pytestmark = [pytest.mark.ros2, pytest.mark.long, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.ros2, pytest.mark.hosts, pytest.mark.long, pytest.mark.timeout(300)]
 
 SYSTEM = """system chat
 

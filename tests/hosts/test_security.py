@@ -231,6 +231,7 @@ rclpy.shutdown()
 
 
 @pytest.mark.ros2
+@pytest.mark.hosts
 @pytest.mark.long
 @pytest.mark.timeout(120)
 def test_no_port_is_opened_no_secret_is_told_and_ros_commands_nothing(robot: Robot) -> None:
