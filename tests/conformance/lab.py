@@ -242,7 +242,9 @@ class Lab:
                 found = await found
             if enough(found):
                 return found
-            assert self.clock.steady() < deadline, f"within {patience:g} s it has not happened that {what}"
+            assert self.clock.steady() < deadline, (
+                f"within {patience:g} s it has not happened that {what}: {found!r:.2000}"
+            )
             await self.sleep(0.02)
 
     async def shows(

@@ -102,6 +102,7 @@ def test_the_api_page_documents_what_an_author_imports(pages: dict[Path, Page], 
     assert {"midstride.Component.create_input", "midstride.Input.latest", "midstride.Output.write"} <= page.ids
 
 
+@pytest.mark.long
 def test_a_fault_stops_the_build(tmp_path: Path) -> None:
     """A link to nothing, a page outside the navigation, and a reference in a docstring that nothing has.
 

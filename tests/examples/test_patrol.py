@@ -72,7 +72,9 @@ def test_what_costs_nothing(trial: Any, event: str, outcome: str | None) -> None
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("event", ["the perception is upgraded", "the detector hangs"])
+@pytest.mark.parametrize(
+    "event", ["the perception is upgraded", pytest.param("the detector hangs", marks=pytest.mark.long)]
+)
 def test_what_degrades_costs_less_than_by_quiescence_and_is_never_blind(trial: Any, event: str) -> None:
     minimal, quiesce = (trial.run(SEED, event, strategy, after=20.0) for strategy in ("minimal", "quiesce"))
     assert minimal["said"] == quiesce["said"] == ["done"]
@@ -93,7 +95,7 @@ def test_a_run_is_the_same_again(trial: Any) -> None:
     assert first == second
 
 
-@pytest.mark.full
+@pytest.mark.long
 def test_runs_that_share_what_comes_before_the_event_are_those_that_do_not(trial: Any) -> None:
     """In another process, with other hashes; in two halls, one after the other."""
     cases = [("the lidar driver dies", "stop"), ("the manager dies", "minimal")]

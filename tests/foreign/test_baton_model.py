@@ -255,7 +255,7 @@ def test_two_threads_of_one_node(explorer: Explorer) -> None:
         assert len(world.publishing()) < 2, world
 
 
-@pytest.mark.full
+@pytest.mark.long
 def test_an_output_without_a_rate_beside_one_that_has_one(explorer: Explorer) -> None:
     """It loses nothing while the baton lies, and does not keep the new one from taking it."""
     flags = ((OLD, RATED), (OLD, BESIDE), (NEW, RATED))

@@ -470,7 +470,7 @@ def assert_one_writer(states: int, **given: Any) -> list[Seen]:
         pytest.param("", "n", False, 5536, marks=FULL),
         pytest.param("", "", True, 10444, marks=FULL),
         pytest.param("co", "", False, 9707, marks=FULL),
-        pytest.param("cn", "", False, 16111, marks=FULL),  # and nothing reaches the old side
+        pytest.param("cn", "", False, 16111, marks=LONG),  # and nothing reaches the old side
         pytest.param("kn", "", False, 7815, marks=FULL),
         pytest.param("dn", "", False, 13364, marks=FULL),
         pytest.param("dokn", "", False, 19630, marks=LONG),
@@ -559,7 +559,7 @@ async def cancelled_without_the_lock(self: Any) -> None:
     [
         (CutOutTask, "_may_resume", lambda self: not self._taken, ""),
         pytest.param(IncomingCut, "admits", IncomingCut.passes, "", marks=FULL, id="admits"),
-        pytest.param(CutOutTask, "cancel", cancelled_without_the_lock, "co", marks=FULL, id="cancel"),
+        pytest.param(CutOutTask, "cancel", cancelled_without_the_lock, "co", marks=LONG, id="cancel"),
     ],
 )
 def test_the_exploration_finds_a_side_that_does_not_lock(

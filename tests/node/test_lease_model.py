@@ -198,16 +198,17 @@ def test_never_do_both_write() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old_rate", "new_rate"),
+    ("old_rate", "new_rate", "lasts"),
     [
-        pytest.param(FAST, SLOW, marks=pytest.mark.full),
-        pytest.param(STEADY, STEADY, marks=pytest.mark.long),
-        pytest.param(SLOW, FAST, marks=pytest.mark.long),
+        pytest.param(FAST, SLOW, 5, marks=pytest.mark.full),
+        pytest.param(FAST, SLOW, 6, marks=pytest.mark.long),
+        pytest.param(STEADY, STEADY, 6, marks=pytest.mark.long),
+        pytest.param(SLOW, FAST, 6, marks=pytest.mark.long),
     ],
 )
-def test_one_writes_as_soon_as_the_link_is_back(old_rate: Fraction, new_rate: Fraction) -> None:
+def test_one_writes_as_soon_as_the_link_is_back(old_rate: Fraction, new_rate: Fraction, lasts: int) -> None:
     why = set[str]()
-    for world in worlds(old_rate, new_rate):
+    for world in worlds(old_rate, new_rate, lasts):
         assert not world.both
         assert once_the_link_is_back(world) in ("o", "n")
         if not world.writers:

@@ -121,7 +121,14 @@ def test_a_bound_that_rests_on_a_limit_is_checked() -> None:
     assert check(raised) == BoundCheck("not checked", "it is higher than what follows from the constraints here")
 
 
-@pytest.mark.parametrize("seeds", [(9, 14, 16, 17, 23), pytest.param(range(24, 200), marks=pytest.mark.full)])
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        (9, 14, 16, 17, 23),
+        pytest.param(range(24, 60), marks=pytest.mark.full),
+        pytest.param(range(60, 200), marks=pytest.mark.long),
+    ],
+)
 def test_a_limit_never_makes_a_bound_too_high(seeds: Sequence[int]) -> None:
     """Each functionality that falls in the cheapest plan may fall for so long, or for less."""
     higher = 0

@@ -267,7 +267,7 @@ def killed_once(
         "replace",
         "less",
         pytest.param("more", marks=pytest.mark.full),
-        pytest.param("both exchanged", marks=pytest.mark.full),
+        pytest.param("both exchanged", marks=pytest.mark.long),
     ],
 )
 @pytest.mark.parametrize(
@@ -290,7 +290,9 @@ def side_by_side(folder: Path) -> Case:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("finish", [False, True], ids=["rolled back", "finished"])
+@pytest.mark.parametrize(
+    "finish", [pytest.param(False, id="rolled back"), pytest.param(True, id="finished", marks=pytest.mark.long)]
+)
 def test_the_same_where_steps_are_taken_at_once(finish: bool, tmp_path: Path) -> None:
     outcomes = killed_at_each_write(side_by_side(tmp_path), tmp_path, finish=finish)
     assert outcomes == ({"not begun", "done"} if finish else {"not begun", "done", "rolled_back"})
@@ -298,7 +300,7 @@ def test_the_same_where_steps_are_taken_at_once(finish: bool, tmp_path: Path) ->
 
 @pytest.mark.parametrize("when", ["before", "after"])
 @pytest.mark.parametrize(
-    "every", [17, pytest.param(5, marks=pytest.mark.full), pytest.param(1, marks=pytest.mark.long)]
+    "every", [17, pytest.param(5, marks=pytest.mark.long), pytest.param(1, marks=pytest.mark.long)]
 )
 def test_the_same_at_every_request_of_such_a_change(every: int, when: When, tmp_path: Path) -> None:
     """Before it is sent, and after its reply has come: between the cuts, and between the sides of each."""

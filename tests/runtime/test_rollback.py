@@ -110,7 +110,7 @@ def test_one_lost_message_is_made_good(name: str, request_: PlanRequest, how: st
     ("how", "times"),
     [
         pytest.param("lost_request", 2, marks=pytest.mark.long),
-        pytest.param("lost_reply", 2, marks=pytest.mark.full),
+        pytest.param("lost_reply", 2, marks=pytest.mark.long),
         ("refused", 1),
     ],
 )

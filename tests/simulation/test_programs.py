@@ -36,7 +36,14 @@ def system() -> Specification:
     ],
     ids=["restart", "replace", "remove"],
 )
-@pytest.mark.parametrize("first", [0, *(pytest.param(first, marks=pytest.mark.full) for first in range(20, 160, 20))])
+@pytest.mark.parametrize(
+    "first",
+    [
+        0,
+        pytest.param(20, marks=pytest.mark.full),
+        *(pytest.param(first, marks=pytest.mark.long) for first in range(40, 160, 20)),
+    ],
+)
 def test_no_seed_violates_an_invariant(first: int, request_: PlanRequest) -> None:
     summary = Summary()
     for run in simulate_many(range(first, first + SEEDS), rehearsed(system(), request_)):

@@ -15,9 +15,13 @@ from midstride.simulation.faults import KINDS, OF_LINKS
 from midstride.simulation.scenario import rehearsed
 from tests.simulation.planted import planted
 
-# How many seeds a test runs. `make test` runs the first of these tests, `make test-all` all.
-SEEDS = 100
-FIRST = [0, *(pytest.param(first, marks=pytest.mark.full) for first in range(SEEDS, 5 * SEEDS, SEEDS))]
+# How many seeds a test runs. `make test` runs the first of these tests, `make test-all` three, `make test-long` the rest.
+SEEDS = 50
+FIRST = [
+    0,
+    *(pytest.param(first, marks=pytest.mark.full) for first in (SEEDS, 2 * SEEDS)),
+    *(pytest.param(first, marks=pytest.mark.long) for first in range(3 * SEEDS, 10 * SEEDS, SEEDS)),
+]
 
 
 @pytest.mark.parametrize("first", FIRST)
