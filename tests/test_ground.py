@@ -92,33 +92,56 @@ from pathlib import Path
 def test_passes():
     pass
 
-def test_fails_once():
+def test_fails():
     tried = Path(__file__).with_name("tried")
-    if not tried.exists():
-        tried.touch()
-        raise AssertionError("once")
+    with tried.open("a") as file:
+        file.write("x")
+    assert tried.stat().st_size > FAILS, "not yet"
 """
 
 
-@pytest.mark.parametrize("listed", [True, False])
-def test_only_what_is_in_quarantine_runs_again(
-    listed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("listed", "live", "fails", "rounds"),
+    [
+        (True, False, 1, 2),  # once is enough
+        (True, False, 2, 3),
+        (False, False, 1, 1),  # what computes does not run again
+        (False, True, 1, 3),  # twice in a row
+        (False, True, 2, 2),
+    ],
+)
+def test_what_is_in_quarantine_or_live_runs_again(
+    listed: bool,
+    live: bool,
+    fails: int,
+    rounds: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    (tmp_path / "test_it.py").write_text(FAILING, encoding="utf-8")
-    entry = "test_it.py::test_fails_once\n    It fails once.\n" if listed else ""
+    (tmp_path / "test_it.py").write_text(FAILING.replace("FAILS", str(fails)), encoding="utf-8")
+    entry = "test_it.py::test_fails\n    It fails.\n" if listed else ""
     (tmp_path / "quarantine.txt").write_text(entry, encoding="utf-8")
     monkeypatch.setattr(suites, "QUARANTINE", tmp_path / "quarantine.txt")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     bare = ["--disable-plugin-autoload", "-p", "xdist.plugin", "-c", os.devnull, "--rootdir", str(tmp_path)]
-    suite = suites.Suite("one", ["env"], [*bare, "test_it.py"])
+    suite = suites.Suite("one", ["env"], [*bare, "test_it.py"], live=live)
     suites.run_all([[suite]])
     assert (suite.status, suite.ends()) == (1, {"passed": 1, "failed": 1})
-    again = suites.run_quarantined_again([suite])
-    assert again == (["one: test_it.py::test_fails_once (It fails once.)"] if listed else [])
-    assert suite.has_passed is listed and suite.rounds == (2 if listed else 1)
-    assert suite.ends() == ({"passed": 2} if listed else {"passed": 1, "failed": 1})
-    assert "once" in capsys.readouterr().out
+    again = suites.run_again([suite])
+    reason = "It fails." if listed else suites.BESIDE_OTHERS
+    assert again == ([f"one: test_it.py::test_fails ({reason})"] if rounds > 1 else [])
+    passes = (listed and fails < 3) or (live and fails < 2)
+    assert (suite.has_passed, suite.rounds) == (passes, rounds)
+    assert suite.ends() == ({"passed": 2} if passes else {"passed": 1, "failed": 1})
+    assert "not yet" in capsys.readouterr().out
+
+
+def test_of_too_many_that_have_failed_none_runs_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    suite = suites.Suite("one", ["false"], ["-q"], live=True, status=1)
+    monkeypatch.setattr(suites.Suite, "failed_tests", lambda _: {f"test_{n}" for n in range(suites.MOST_AGAIN + 1)})
+    assert suites.run_again([suite]) == [] and suite.rounds == 0
 
 
 def test_what_computes_is_there_and_runs_apart_from_what_is_timed() -> None:

@@ -16,9 +16,10 @@ that are marked ros2.
 ARGS go to each pytest. The progress of each suite is shown as it comes, what it prints besides when it ends. A COMMAND,
 such as a linter, runs beside them, and counts as a suite.
 
-A test that fails has failed. Only those that tests/quarantine.txt names run again, up to twice, after everything else,
-and if nothing else has failed; the summary says which did. The last line is the total; the exit status is 1 if none
-passed or any failed.
+A test that computes and fails has failed. One of a live ROS system may have failed for want of a processor beside three
+others: up to five of those run again when everything else has ended, alone, and must pass twice in a row. Those that
+tests/quarantine.txt names must pass once of two times. The summary says which tests ran again. Nothing does if anything
+else has failed. The last line is the total; the exit status is 1 if none passed or any failed.
 """
 
 from __future__ import annotations
@@ -36,15 +37,17 @@ import threading
 import time
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 QUARANTINE = ROOT / "tests" / "quarantine.txt"
-# How often a test in quarantine runs again.
+# How often a test runs again, and of how many that are not in quarantine.
 REPEATS = 2
+MOST_AGAIN = 5
+BESIDE_OTHERS = "it failed beside others, and had to pass twice alone"
 # How long suites that are interrupted have to end (s).
 GRACE = 5.0
 # The tests that compute most of the time. The others wait, for processes and for messages.
@@ -105,19 +108,21 @@ class Suite:
     arguments: Sequence[str] = ()
     workers: int = 1
     variables: dict[str, str] = field(default_factory=dict)
-    watches: bool = False  # live ROS 2 systems, in real time
+    live: bool = False  # of ROS systems, in real time
+    watches: bool = False  # live ones of ROS 2
     status: int | None = None
     rounds: int = 0
     process: subprocess.Popen[str] | None = None
 
-    def run(self) -> None:
-        """Until it ends, prints its progress; then the rest of its output."""
-        again = self.rounds > 0
+    def run(self, again: Collection[str] = ()) -> None:
+        """Until it ends, prints its progress; then the rest of its output. Tests to run ``again`` run alone."""
         command = [*self.command]
         if self.arguments:
             command += ["python", "-m", "pytest", "-n", "1" if again else str(self.workers), "--dist", "worksteal"]
             command += ["-o", f"cache_dir={self._cache}", f"--junit-xml={self._report(self.rounds)}", *self.arguments]
-            command += ["--last-failed"] if again else []
+        if again:
+            self._last_failed.write_text(json.dumps(dict.fromkeys(again, True)), encoding="utf-8")
+            command += ["--last-failed"]
         self.rounds += 1
         rest = []
         environment = {**os.environ, **self.variables}
@@ -141,12 +146,16 @@ class Suite:
         return Path(os.environ["TMPDIR"]) / f"{self.name}.{number}.xml"
 
     @property
+    def _last_failed(self) -> Path:
+        return self._cache / "v" / "cache" / "lastfailed"
+
+    @property
     def has_passed(self) -> bool:
         return self.status == _PASSED or (bool(self.arguments) and self.status == _NONE_CHOSEN)
 
     def failed_tests(self) -> set[str]:
         """Empty where it is not tests that have failed."""
-        file = self._cache / "v" / "cache" / "lastfailed"
+        file = self._last_failed
         return set(json.loads(file.read_bytes())) if self.status == _SOME_FAILED and file.exists() else set()
 
     def ends(self) -> Counter[str]:
@@ -179,7 +188,7 @@ def suites(options: argparse.Namespace) -> list[Suite]:
     found = []
     if waiting or not paths:
         chosen = waiting or [f"--ignore={each}" for each in (*computing_files(), *pages)]
-        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], more, watches=True))
+        found.append(Suite("waiting", [tool["in-venv"]], [*first, *chosen], more, live=True, watches=True))
     if computing or not paths:
         niced = ["nice", "-n", "10", tool["in-venv"]]
         workers = processors if markers == "long" else more
@@ -190,6 +199,7 @@ def suites(options: argparse.Namespace) -> list[Suite]:
             command=[tool["with-kilted"]],
             workers=half,
             variables={"MIDSTRIDE_NEEDS_ROS2": "1", "MIDSTRIDE_ROS2_ON_PATHS": "1"},
+            live=True,
             watches=True,
         )
         if markers == "long":
@@ -202,11 +212,11 @@ def suites(options: argparse.Namespace) -> list[Suite]:
             found.append(second("gates", arguments=["-m", f"ros2 and ({markers})", *given, *GATES]))
     if pages:
         kept = [f"--ignore={file}" for file in computing_files() if file.startswith(pages)]
-        found.append(Suite("pages", [tool["in-venv"]], [*first, *pages, *kept], half, watches=True))
+        found.append(Suite("pages", [tool["in-venv"]], [*first, *pages, *kept], half, live=True, watches=True))
     if options.ros1:
         arguments = ["-m", f"ros1 and ({markers})", *given, *(paths or (PLATFORM if daily else ()))]
         workers = half if daily else processors
-        found.append(Suite("ros1", [tool["with-ros1"]], arguments, workers, {"MIDSTRIDE_NEEDS_ROS1": "1"}))
+        found.append(Suite("ros1", [tool["with-ros1"]], arguments, workers, {"MIDSTRIDE_NEEDS_ROS1": "1"}, live=True))
     return found + [Suite(each.strip(), shlex.split(each)) for each in options.beside.split(";") if each.strip()]
 
 
@@ -248,17 +258,27 @@ def run_all(lists: Sequence[Sequence[Suite]]) -> None:
         raise
 
 
-def run_quarantined_again(chosen: Sequence[Suite]) -> list[str]:
-    """Lines about what ran again: nothing where anything failed that is not in quarantine."""
-    allowed = quarantine(QUARANTINE.read_text(encoding="utf-8"))
-    failed = [suite for suite in chosen if not suite.has_passed]
-    if not all((tests := suite.failed_tests()) and tests <= allowed.keys() for suite in failed):
+def run_again(chosen: Sequence[Suite]) -> list[str]:
+    """Lines about the tests that ran again: none where anything failed that may not."""
+    known = quarantine(QUARANTINE.read_text(encoding="utf-8"))
+    failed = [(suite, suite.failed_tests()) for suite in chosen if not suite.has_passed]
+    if not all(tests and (suite.live or tests <= known.keys()) for suite, tests in failed):
         return []
-    lines = [f"{suite.name}: {test} ({allowed[test]})" for suite in failed for test in sorted(suite.failed_tests())]
-    for suite in failed:
-        while not suite.has_passed and suite.rounds <= REPEATS:
-            say(f"== {suite.name}: tests in quarantine have failed, and run again")
-            suite.run()
+    if sum(len(tests - known.keys()) for _, tests in failed) > MOST_AGAIN:
+        return []
+    lines = []
+    for suite, found in failed:
+        statuses = []
+        for tests, once_is_enough in ((found & known.keys(), True), (found - known.keys(), False)):
+            if tests:
+                say(f"== {suite.name}: tests that have failed run again, alone")
+                for _ in range(REPEATS):
+                    suite.run(tests)
+                    if suite.has_passed is once_is_enough:
+                        break
+                statuses.append(suite.status)
+                lines += [f"{suite.name}: {test} ({known.get(test, BESIDE_OTHERS)})" for test in sorted(tests)]
+        suite.status = max(statuses, key=bool)
     return lines
 
 
@@ -276,11 +296,11 @@ def main(arguments: Sequence[str]) -> int:
     chosen = suites(options)
     for stage in filter(None, stages(chosen, options.markers)):
         run_all(stage)
-    again = run_quarantined_again(chosen)
+    again = [] if options.markers == "long" else run_again(chosen)  # these have run one suite after another
     for suite in chosen:
         say(f"== {suite.name}: {'passed' if suite.has_passed else f'failed ({suite.status})'}")
     for line in again:
-        say(f"run again, as tests/quarantine.txt allows: {line}")
+        say(f"run again: {line}")
     ends: Counter[str] = sum((suite.ends() for suite in chosen), Counter())
     minutes, seconds = divmod(int(time.monotonic() - begun), 60)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)

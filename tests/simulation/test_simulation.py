@@ -15,7 +15,7 @@ from midstride.simulation.faults import KINDS, OF_LINKS
 from midstride.simulation.scenario import rehearsed
 from tests.simulation.planted import planted
 
-# How many seeds a test runs. `make test` runs the first of these tests, `make test-all` three, `make test-long` the rest.
+# How many seeds a test runs. `make test` runs the first of these tests, `make test-all` three, `make test-long` all.
 SEEDS = 50
 FIRST = [
     0,
