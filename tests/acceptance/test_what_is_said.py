@@ -228,7 +228,9 @@ class Robot:
     async def hears(self, *roles: str) -> None:
         """Return when all of these have said something from now on."""
         since = time.monotonic()
-        await self.bare.until(lambda: all(self.says(role, since) for role in roles), 60)
+        while silent := [role for role in roles if not self.says(role, since)]:
+            assert time.monotonic() < since + 60, (silent, await self._faults())
+            await self.bare.spin()
 
     def silence(self, role: str, begun: float, ended: float) -> float:
         """The longest silence between two times, by the time at which messages were written (s)."""

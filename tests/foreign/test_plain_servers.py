@@ -194,7 +194,7 @@ def test_the_new_one_begins_when_the_old_one_has_answered_or_its_time_is_over(se
             order: list[str] = []
             calls = {"slow": servers.call("slow", 1500)}
             await servers.claims(old, begun + 1)
-            calls["next"] = servers.call("next", key="another client")
+            calls["next"] = servers.call("next", 300, key="another client")  # so long that the order shows
             await servers.bare.until(lambda: servers.held(new) == 1)
             for name, future in calls.items():
                 future.add_done_callback(partial(note, order, name))

@@ -24,6 +24,7 @@ from tests.wire.bare_state import bare_state
 
 RUNNING = instance("talker_2", TALKER, "talker")
 STATE = reported(RUNNING)
+NOTHING = Configuration()
 WORK = FunctionalityStatus(
     name="work",
     mode="normal",
@@ -97,7 +98,9 @@ def test_what_is_as_good_as_it_can_be_is_no_deviation(level: int, changes: dict[
 
 @pytest.mark.parametrize(("mode", "level", "said"), [("degraded", 0, True), ("degraded", 1, False), ("gone", 1, True)])
 def test_a_mode_below_the_baseline_or_unknown_is_a_fault(mode: str, level: int, said: bool) -> None:
-    watched: Any = SimpleNamespace(baseline=lambda: specified(level=level))
+    watched: Any = SimpleNamespace(
+        baseline=lambda: specified(level=level), system=SimpleNamespace(configuration=NOTHING)
+    )
     functionality = structs.replace(WORK, mode=mode)
     status: Any = SimpleNamespace(
         name="talker_2",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -329,6 +330,20 @@ def test_an_output_that_is_gone_or_fenced_is_not_detached(link: LinkState | None
         assert r.client.of(DetachCommand) == []
 
     reconciling(talking(), tmp_path, body)
+
+
+def test_the_output_of_a_lifecycle_node_that_is_slow_to_become_active_again_is_not_detached(tmp_path: Path) -> None:
+    configuration = talking(talker=replace(TALKER, gate="lifecycle"))
+
+    async def body(r: ReconcilingBench) -> None:
+        r.client.report(reported(r.configuration.instances["talker"], talking(), gates={"out /chatter": "closed"}))
+        await r.reconciler.reconcile()
+        r.client.report(reported(r.configuration.instances["talker"], talking()))
+        await r.reconciler.reconcile()
+        assert r.client.of(DetachCommand) == []
+        assert r.system.configuration.attached_ports("talker") == configuration.attached_ports("talker") != []
+
+    reconciling(configuration, tmp_path, body)
 
 
 # -- commands ------------------------------------------------------------------------------------------

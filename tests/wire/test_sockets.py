@@ -18,12 +18,12 @@ import pytest
 
 from midstride.backends.processes import listens
 from midstride.errors import CallTimeout, ManagerError, NodeError, ProtocolError, Unreachable
-from midstride.wire import sockets
+from midstride.wire import channel, sockets
 from midstride.wire.channel import Channel
 from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import PingCommand
 from midstride.wire.folders import COMPONENTS, workspace_folder
-from midstride.wire.frames import StateChanged, decode_from_component
+from midstride.wire.frames import Hello, StateChanged, decode_from_component
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Connection
 from tests.process_name import named
@@ -93,6 +93,22 @@ def test_a_process_with_a_name_that_is_no_utf_8_is_recognized(tmp_path: Path) ->
             connection = await folder.connect(folder.address("talker"))
             assert connection.peer == os.getpid()
         assert await says(connection)
+        stop_listening()
+
+    in_folder(tmp_path / COMPONENTS, main)
+
+
+def test_of_a_connection_that_has_been_closed_the_process_is_not_known(tmp_path: Path) -> None:
+    """Such is one whose program accepts it and cannot pass it on: a client of it tries again."""
+
+    async def main(folder: SocketFolder) -> None:
+        stop_listening = await folder.listen("talker", echo)
+        connection = await folder.connect(folder.address("talker"))
+        connection.close()
+        await asyncio.sleep(0)  # the transport closes its socket in the loop
+        assert connection.peer is None
+        with pytest.raises(Unreachable, match="closed the connection without a greeting"):
+            await channel._greet(connection, "talker", Hello(protocol=1, token=""))
         stop_listening()
 
     in_folder(tmp_path / COMPONENTS, main)

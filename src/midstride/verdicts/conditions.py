@@ -97,6 +97,11 @@ def is_in_mode(functionality: str, mode: str) -> str:
     return f"{functionality} is in mode {mode}"
 
 
+def is_not_attached(port: str, topic: str) -> str:
+    """A port is not attached to a topic, service or ROS action to which the specification attaches it."""
+    return f"{port} is not attached to {topic}"
+
+
 def writes_less(port: str, rate: float | None, declared: float | None) -> str:
     """An output does not keep the rate (Hz) that it guarantees, as measured over a whole window."""
     found = "nothing" if not rate else f"{rate:.3g} Hz"

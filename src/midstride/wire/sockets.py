@@ -57,8 +57,8 @@ class SocketConnection:
 
     @property
     def peer(self) -> int | None:
-        pid = _credentials(self._writer.get_extra_info("socket"))[0]
         try:
+            pid = _credentials(self._writer.get_extra_info("socket"))[0]  # OSError: the connection is closed here
             with open(f"/proc/{pid}/status", "rb") as file:  # the kernel cuts names within a character
                 return next(int(line.split()[-1]) for line in file if line.startswith(b"NSpid:"))
         except (OSError, StopIteration):

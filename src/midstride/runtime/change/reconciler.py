@@ -329,7 +329,9 @@ class Reconciler:
                 if configuration.is_output(port):
                     touched += configuration.consumers(connector)
                     topic = configuration.topic(connector)
-                    if state is not None and is_closed(state, port, topic):
+                    # A lifecycle node that is inactive has a closed gate too, and writes again only if it is told to.
+                    by_itself = not configuration.component(port.instance).has_lifecycle
+                    if state is not None and by_itself and is_closed(state, port, topic):
                         handed_over.append((port, topic))
             if lacking:
                 touched += [ref for ref in configuration.modes if ref.instance == name]

@@ -95,6 +95,12 @@ def _faults(watched: WatchedSystem, instance: InstanceStatus) -> Iterator[str]:
     for each in instance.functionalities:
         if each.mode not in each.modes or each.modes.index(each.mode) > baseline.level(instance.role, each.name):
             yield conditions.is_in_mode(f"{instance.name}.{each.name}", each.mode)
+    configuration = watched.system.configuration
+    if instance.name in configuration.instances and not instance.done:
+        attached = {(port.port, connector) for port, connector in configuration.attached_ports(instance.name)}
+        for port, connector in baseline.attached(instance.role):
+            if (port, connector) not in attached:
+                yield conditions.is_not_attached(f"{instance.name}.{port}", connector)
     yield from _below_rate(instance, far=True)
 
 

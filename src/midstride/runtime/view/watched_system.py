@@ -13,17 +13,23 @@ from midstride.runtime.restore.restoring import Restorer
 
 
 class Baseline:
-    """The system that the specification describes: for each role its component, and the best modes that the system
-    allows.
+    """The system that the specification describes: for each role its component, its attachments, and the best modes
+    that the system allows.
     """
 
     def __init__(self, specification: Specification, intended: Configuration) -> None:
         self.specification = specification
-        self._modes = intended.modes
+        self._intended = intended
 
     def level(self, role: str, functionality: str) -> int:
         """The level of the mode that a functionality of a role should be in; 0 (the best) for an unknown one."""
-        return self._modes.get(FunctionalityRef(role, functionality), 0)
+        return self._intended.modes.get(FunctionalityRef(role, functionality), 0)
+
+    def attached(self, role: str) -> list[tuple[str, str]]:
+        """The ports of a role that should be attached, each with its connector."""
+        if role not in self._intended.instances:
+            return []
+        return [(port.port, connector) for port, connector in self._intended.attached_ports(role)]
 
 
 @dataclass
