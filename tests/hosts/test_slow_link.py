@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -13,10 +12,10 @@ from tests.hosts.two_hosts import NETWORK, two_hosts
 
 PINGS = 100
 
+pytestmark = [pytest.mark.hosts, pytest.mark.full]
+
 
 def test_a_slow_link_delays_frames_and_loses_some(tmp_path: Path) -> None:
-    if shutil.which("ping") is None:
-        pytest.skip("there is no ping")
     with two_hosts(tmp_path, Slow(delay=0.005, jitter=0.002, loss=0.02)) as hosts:
         words = hosts.inside("ping", "-q", "-i", "0.005", "-c", PINGS, f"{NETWORK}.2")
         said = subprocess.run(words, check=True, capture_output=True, text=True).stdout
