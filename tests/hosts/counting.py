@@ -18,7 +18,7 @@ from tests.hosts.slow_link import Slow
 NODES = Path(__file__).parent / "_counter.py"
 RATE = 50.0
 SPECIFICATION = """system moving
-contract Count = std_msgs/msg/String @ 50 Hz
+contract Count = std_msgs/msg/String @ 50 Hz qos(depth = 200)
 topic /count : Count
 component Counter {
   run "python3 _counter.py"

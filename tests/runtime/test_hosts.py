@@ -168,6 +168,27 @@ def test_what_a_change_has_left_half_done_on_a_host_is_taken_back_once_that_is_p
     managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
 
 
+def test_a_node_whose_move_failed_after_it_had_moved_returns_to_its_host_once_that_is_reached(tmp_path: Path) -> None:
+    platform = Hosts()
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        platform.unknown = True
+        outcome = await manager.change(PlanRequest(on=(("talker", "manager"),)))
+        assert outcome.outcome == "failed" and "what has been done stays" in str(outcome.because)
+        platform.lost.add("arm")
+        simulator.faults.kill("talker")
+        platform.unknown = False
+        await simulator.clock.sleep(20.0)
+        assert [each.host for each in manager.configuration.instances_of("talker")] == [""]  # nothing can be done
+        platform.lost.clear()
+        await simulator.clock.sleep(20.0)
+        assert [each.host for each in manager.configuration.instances_of("talker")] == ["arm"]
+        found = await manager.status()
+        assert found.valid and found.condition.state == "up"
+
+    managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
+
+
 def test_nothing_is_started_where_the_back_end_reaches_no_other_host(tmp_path: Path) -> None:
     platform = OneHost()
 

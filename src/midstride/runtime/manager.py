@@ -119,7 +119,7 @@ class Manager:
         self._session = session = ChangeSession(reconciler, backend, journal, verifier or Verifier())
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
-        self._returned = ReturnedHosts(system, clock, events, reconciler, session)
+        self._returned = ReturnedHosts(system, clock, events, reconciler, session, backend.host_links)
         self.watched = WatchedSystem(session, self._respawner, self._restorer, options.spares)
         launcher.on_killed = lambda name, seconds, words, unfinished: events.add(
             "killed", words, instance=name, seconds=seconds, unfinished=unfinished
