@@ -30,7 +30,7 @@ def missing() -> str | None:
     """Why two hosts cannot be had here; None if they can."""
     if os.getuid() != 0:
         return "network namespaces need root"
-    for command in ("ip", "nsenter", "ssh", "ssh-keygen", SSHD):
+    for command in ("ip", "tc", "nsenter", "ssh", "ssh-keygen", SSHD):
         if shutil.which(command) is None:
             return f"there is no {command}"
     name = f"midstride-{os.getpid()}-try"
@@ -72,6 +72,14 @@ class TwoHosts:
     def link(self, state: str) -> None:
         """Have the cable ``up`` or ``down``."""
         _ip("-n", self.near, "link", "set", CABLE, state)
+
+    def lose(self, everything: bool) -> None:
+        """Have what is sent over the cable be lost, both ways, while the interfaces stay up: a queue without room."""
+        change = (
+            ["replace", "dev", CABLE, "root", "pfifo", "limit", "0"] if everything else ["del", "dev", CABLE, "root"]
+        )
+        for name in (self.near, self.far):
+            subprocess.run(["ip", "netns", "exec", name, "tc", "qdisc", *change], check=True, capture_output=True)
 
     def make(self) -> None:
         for name in (self.near, self.far):

@@ -16,6 +16,7 @@ from midstride.plan.specification_diff import differences
 TALKERS = """system s
 
 topic /chatter : std_msgs/msg/String @ 10 Hz
+host arm { ssh "robot@arm" }
 
 component Talker {
   run "python3 talker.py"
@@ -56,6 +57,16 @@ def written(policy: str, folder: Path) -> Specification:
             "  respawn  respawn_max_retries 3 in 2 min  respawn_fallback Simple",
             RespawnPolicy(max_retries=3, window=120.0, fallback="Simple"),
             {"max_retries": 3, "window_seconds": 120, "fallback": "Simple"},
+        ),
+        (
+            "  respawn  respawn_fallback Talker on arm lease 2500 ms",
+            RespawnPolicy(fallback="Talker", fallback_host="arm", lease=2.5),
+            {"fallback": "Talker", "fallback_host": "arm", "lease_seconds": 2.5},
+        ),
+        (
+            "  respawn  respawn_fallback Simple on arm  respawn_max_retries 1",
+            RespawnPolicy(max_retries=1, fallback="Simple", fallback_host="arm"),
+            {"max_retries": 1, "fallback": "Simple", "fallback_host": "arm"},
         ),
         ("  respawn  respawn_max_retries 0", RespawnPolicy(max_retries=0), {"max_retries": 0}),
         ("  respawn  respawn_max_retries unlimited", RespawnPolicy(max_retries=None), {"max_retries": None}),

@@ -6,6 +6,7 @@ import pytest
 
 from midstride.model.contract import QoS
 from midstride.node.author.ports import Output, OutputLink
+from midstride.node.author.write_lease import WriteLease
 from tests.node.author import String
 from tests.node.test_cut import Owner, link_of, write
 
@@ -30,6 +31,34 @@ def test_nothing_passes_a_fence_however_the_gate_is_set_and_it_is_not_counted_as
     write(link, "after")
     assert passing(link) == (False, True, True)
     assert (published, link.count, link.gated) == (["before", "after"], 2, 2)
+
+
+def test_nothing_passes_once_the_lease_is_over_and_everything_once_it_is_renewed_or_freed() -> None:
+    link, published = link_of(Owner())
+    now = [0]
+    link.lease = lease = WriteLease(lambda: now[0])
+    link.follow_lease()
+    link.set_gate(True)
+    write(link, "without")
+    lease.until = 10
+    link.follow_lease()
+    write(link, "leased")
+    now[0] = 10
+    assert passing(link) == (True, False, False) and link.gate == "open"  # it is attached as before
+    write(link, "over")
+    assert (published, link.count, link.gated) == (["without", "leased"], 2, 1)
+    link.fence(True)
+    lease.until = 20
+    link.follow_lease()
+    write(link, "fenced")  # which only lifting that ends
+    link.fence(False)
+    write(link, "renewed")
+    now[0] = 30
+    write(link, "over again")
+    lease.until = None
+    link.follow_lease()
+    write(link, "freed")
+    assert (published, link.count, link.gated) == (["without", "leased", "renewed", "freed"], 4, 3)
 
 
 def test_what_late_joiners_get_is_what_was_written_even_if_the_author_fills_the_object_again() -> None:

@@ -56,7 +56,7 @@ def watched_system(specification: Specification, events: EventLog) -> WatchedSys
         journal=records,
         permission=ChangePermission(cast(Any, backend), events, cast(Any, records)),
     )
-    return WatchedSystem(cast(Any, session), nothing, nothing, 0)
+    return WatchedSystem(cast(Any, session), nothing, nothing, nothing, 0)
 
 
 class ScriptedManager:

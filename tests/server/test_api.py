@@ -70,7 +70,7 @@ def test_who_answers() -> None:
     served(test, up=False)
 
 
-CHANGING = ("/check", "/plan", "/rehearsal", "/change", "/parameters", "/lock", "/unlock", "/down")
+CHANGING = ("/check", "/plan", "/rehearsal", "/change", "/parameters", "/lock", "/unlock", "/dead", "/down")
 
 
 def test_the_openapi_document_has_every_operation() -> None:
@@ -135,6 +135,7 @@ def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() 
             "/api/v1/parameters": ["#/components/schemas/ParameterSetting"],
             "/api/v1/lock": ["#/components/schemas/LockRequest"],
             "/api/v1/unlock": ["#/components/schemas/UnlockRequest"],
+            "/api/v1/dead": ["#/components/schemas/DeathRequest"],
             "/api/v1/down": [],
         }
         for name, needed in {"Outcome": "plan", "SystemView": "crashed", "Event": "words"}.items():

@@ -14,6 +14,7 @@ from midstride.model.action import Create, Remove
 from midstride.node.accepted_goals import Goals
 from midstride.node.author import client_ports
 from midstride.node.author.client_ports import ClientPort
+from midstride.node.author.ports import OutputLink
 from midstride.node.control import component_agent
 from midstride.node.control.component_end import ComponentEnd
 from midstride.node.control.service_answering import Answering
@@ -29,6 +30,7 @@ from midstride.runtime.process import component_client, launcher
 from midstride.runtime.records import state_store
 from midstride.runtime.records.disk import Database
 from midstride.runtime.restore import recovery
+from midstride.runtime.restore.fallback_leases import FallbackLeases
 from midstride.wire import commands, replies
 from midstride.wire.clock_offset import ClockOffset
 from tests.planting import plant, plant_value
@@ -409,6 +411,17 @@ def _link_of_superseded(patch: pytest.MonkeyPatch) -> None:
     )
 
 
+def _fallback_lease_not_checked(patch: pytest.MonkeyPatch) -> None:
+    """A component with a fallback on another host writes on although its lease is over."""
+    plant(patch, OutputLink, "_publish_leased", lambda self, message: self.endpoint.publish(message))
+
+
+def _fallback_lease_not_awaited(patch: pytest.MonkeyPatch) -> None:
+    """The fallback takes over as soon as the host cannot be reached."""
+    give_up = FallbackLeases._give_up
+    plant(patch, FallbackLeases, "_give_up", lambda self, lost, now: give_up(self, lost, now + 1e9))
+
+
 def _silence_not_noticed(patch: pytest.MonkeyPatch) -> None:
     """A component does not notice that an input with a rate is silent."""
     plant(patch, Shortfall, "exceeds", lambda self, periods, slow=True: False)
@@ -438,6 +451,8 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_unreachable_taken_for_crashed, "is said to have exited, and runs"),
         (_left_on_host, "without faults"),
         (_link_of_superseded, "is attached to"),
+        (_fallback_lease_not_checked, " both "),
+        (_fallback_lease_not_awaited, " both "),
         (_silence_not_noticed, "has not arrived for more than"),
         (_write_not_durable, "another manager of this system has taken over"),
         (_lease_forgotten, "a superseded manager starts"),

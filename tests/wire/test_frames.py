@@ -42,6 +42,7 @@ from midstride.wire.commands import (
     ImportingCommand,
     ImportStateCommand,
     JoinRequestsCommand,
+    KeepLeaseCommand,
     KeepResultsCommand,
     MeetCommand,
     MissingRequestsCommand,
@@ -101,6 +102,7 @@ from midstride.wire.replies import (
     Grid,
     Idle,
     LastWrite,
+    LeaseKept,
     MissingRequests,
     PagePlace,
     PreviousModes,
@@ -258,6 +260,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (CutClaimCommand(cut="c", timeout=1.5), Claimed(how="leased", seconds=1.0)),
     (GateCommand(port="out", topic="/t", gate="closed", latch=True, timeout=1.5), Done()),
     (FenceCommand(attachments=[("out", "/t")], lift=True, timeout=1.5), FencedOutputs(last={"out /t": 3})),
+    (KeepLeaseCommand(seconds=5.0, seen=7, timeout=1.5), LeaseKept(now=8)),
     (
         AnswerCommand(peer="old", drain=3.0, address="unix:/x", own_address="host:/h.sock#a", timeout=1.5),
         Answers(outlasting=1),

@@ -306,6 +306,18 @@ declare namespace Api {
     seconds: number;
   }
 
+  /** A host that a person has declared dead. Nothing is known of the ``instances`` that ran there. */
+  interface DeadHost {
+    host: string;
+    instances: string[];
+  }
+
+  /** The statement that a host which cannot be reached is dead, so that its nodes may be started elsewhere. */
+  interface DeathRequest {
+    host: string;
+    by: string;
+  }
+
   /** A functionality of a role below its baseline: the steps that take it there and back, how long, and why. Steps count from 1; from step 0: the plan begins below; to step null: it ends below. ``seconds`` adds up the estimates of the steps during which it is below. */
   interface Degradation {
     functionality: string;
@@ -561,7 +573,7 @@ declare namespace Api {
     folder?: string;
   }
 
-  /** The link to another host than the manager's, where the manager has started nodes, or may. While it is down, nothing is known of the nodes there, and nothing is started elsewhere. The manager connects again by itself. */
+  /** The link to another host than the manager's, where the manager has started nodes, or may. While it is down, nothing is known of the nodes there, and nothing but ``fallbacks`` is started elsewhere. The manager connects again by itself. */
   interface HostStatus {
     name: string;
     /** as `ssh` takes it */
@@ -579,6 +591,8 @@ declare namespace Api {
     clock_uncertainty: number | null;
     /** that run there, as far as is known */
     instances: string[];
+    /** while it is down: what takes the place of which of them, and when */
+    fallbacks: string[];
   }
 
   /** An event besides changes, such as an instance that exited. */
@@ -1288,6 +1302,10 @@ declare namespace Api {
     window_seconds?: number;
     /** what then replaces the node */
     fallback?: string;
+    /** where the fallback runs; empty: the host of the manager */
+    fallback_host?: string;
+    /** how long the node writes on while its host cannot be reached; unless stated 5 s */
+    lease_seconds?: number;
   }
 
   /** The state of the restart policy of a crashed node: how many of its restarts are used up, and what is next. */

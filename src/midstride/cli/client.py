@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from midstride.runtime.records.change_history import History, SpecificationVersion
     from midstride.runtime.records.change_report import ChangeReport
     from midstride.runtime.records.reports import (
+        DeadHost,
         DownReport,
         Event,
         LiveConfiguration,
@@ -238,6 +239,12 @@ class Client:
         from midstride.runtime.records.status_forms import ChangeLock
 
         return self._form(ChangeLock, "POST", "/unlock", {"by": by}, begin=begin)
+
+    def declare_dead(self, host: str, by: str) -> DeadHost:
+        """Say that ``host``, which cannot be reached, is dead."""
+        from midstride.runtime.records.reports import DeadHost
+
+        return self._form(DeadHost, "POST", "/dead", {"host": host, "by": by})
 
     def log(self) -> list[Event]:
         """The events so far that the manager has kept."""

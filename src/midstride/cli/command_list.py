@@ -44,6 +44,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "dashboard": ("dashboard", "show the system and its changes on a live page"),
         "lock": ("lock_commands", "refuse every change until the system is unlocked"),
         "unlock": ("lock_commands", "end a lock"),
+        "dead": ("dead_command", "say that a host which cannot be reached is dead"),
         "down": ("running", "stop all components and the manager"),
     },
     "Changes to the running system": {

@@ -129,7 +129,8 @@ def _hosts(status: Status) -> Iterable[Text]:
                 )
             yield Text(f"{where}: connected since {time_of(host.since)}; {nodes}{clock}", style="dim")
             continue
-        words = f"nothing is known of {nodes}, and nothing is started elsewhere: {host.because}"
+        started = "; ".join((*host.fallbacks, "nothing else")) if host.fallbacks else "nothing"
+        words = f"nothing is known of {nodes}, and {started} is started elsewhere: {host.because}"
         yield Text(f"{where}: unreachable since {time_of(host.since)}; {words}", style="red")
 
 

@@ -241,6 +241,17 @@ class RespawnForm(Form, frozen=True):
     fallback: (
         Annotated[str, field("the name of a component", "what then replaces the node", min_length=1)] | UnsetType
     ) = UNSET
+    fallback_host: (
+        Annotated[str, field("the name of a host", "where the fallback runs; empty: the host of the manager")]
+        | UnsetType
+    ) = UNSET
+    lease_seconds: (
+        Annotated[
+            PositiveSeconds,
+            Meta(description="how long the node writes on while its host cannot be reached; unless stated 5 s"),
+        ]
+        | UnsetType
+    ) = UNSET
 
     @classmethod
     def of(cls, policy: RespawnPolicy) -> RespawnForm:
@@ -250,6 +261,8 @@ class RespawnForm(Form, frozen=True):
             max_retries=policy.max_retries,
             window_seconds=plain(policy.window),
             fallback=stated(policy.fallback),
+            fallback_host=stated(policy.fallback_host),
+            lease_seconds=stated(policy.lease),
         )
 
     def policy(self) -> RespawnPolicy:
@@ -259,6 +272,8 @@ class RespawnForm(Form, frozen=True):
             None if self.max_retries is None else finite(self.max_retries),
             float(self.window_seconds),
             given(self.fallback),
+            given(self.fallback_host),
+            given(self.lease_seconds),
         )
 
 

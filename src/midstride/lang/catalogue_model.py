@@ -30,6 +30,10 @@ _SLOW: Final = (
     "component Slow like Talker { functionality talk { produces out\n"
     "  mode normal { guarantee out : std_msgs/msg/String @ 1 Hz }\n  mode silent { } } }\n"
 )
+# A talker on a host, with a restart policy.
+_ON_ARM: Final = respawning("respawn   POLICY").replace(
+    "node talker : Talker", "host arm { }\nnode talker : Talker on arm"
+)
 _PAIR: Final = TALKING + _LISTENER + "node listener : Listener { in <- /chatter }\n"
 
 
@@ -309,7 +313,9 @@ MODEL: Final = (
         "E026: restart policy that cannot be carried out",
         """The longest delay of `respawn_delay` is shorter than the first one; the component of the node, or the one
         named by `respawn_fallback`, has no `run` command; or that one does not fit the topics of the node, lacks what a
-        constraint on the node names, or never comes, since the restarts are unlimited.""",
+        constraint on the node names, or never comes, since the restarts are unlimited. Or the fallback is on another
+        host: then the lease has at least 1 s, the node is in no container, and where its host is not the manager's, it
+        uses Midstride's API and has no servers.""",
         "correct the statement that the message names",
         respawning("respawn   respawn_delay 5 s to 2 s"),
         CHATTER + "node talker : Talker { out -> /chatter   respawn }\n",
@@ -317,6 +323,8 @@ MODEL: Final = (
         respawning("respawn   respawn_max_retries unlimited   respawn_fallback Other").replace(
             "node", "component Other like Talker { }\nnode"
         ),
+        _ON_ARM.replace("POLICY", "respawn_fallback Talker on manager lease 0.2 s"),
+        _ON_ARM.replace("POLICY", "respawn_fallback Talker on manager").replace('.talker"', '.talker" gate preload'),
     ),
     _entry(
         "E027: gate that cannot work",
@@ -436,9 +444,11 @@ MODEL: Final = (
         _PAIR.replace("node talker : Talker { out -> /chatter }\n", "") + "keep listener.listen at normal\n",
     ),
     _entry(
-        "W035: fallback that is the node's component",
-        """`respawn_fallback` names the component that the node has. When its restarts are used up, it is left.""",
-        "name another component, or remove `respawn_fallback`",
+        "W035: fallback that is the node's component, or on its host",
+        """`respawn_fallback` names the component that the node has: when its restarts are used up, it is left. Or it
+        names the host that the node is on: nothing takes over when that cannot be reached.""",
+        "name another component or host, or remove `respawn_fallback`",
         respawning("respawn   respawn_fallback Talker"),
+        _ON_ARM.replace("POLICY", "respawn_fallback Talker on arm"),
     ),
 )

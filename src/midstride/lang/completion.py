@@ -138,7 +138,7 @@ class _CursorContext:
             yield "keyword", GATES
         elif first == "run" and last == "stop":
             yield "keyword", ("drain", "patience", "sigterm", "sigkill")
-        elif first in {"node", "container", "namespace", "resource", "include"} and last == "on":
+        elif first in {"node", "container", "namespace", "resource", "include", "respawn_fallback"} and last == "on":
             yield "host", (*declarations.hosts, MANAGER)
         elif first == "node" and last == "in":
             yield "container", declarations.containers
@@ -162,6 +162,8 @@ class _CursorContext:
                 yield "keyword", _RUN_CLAUSES
             if first == "output" and len(self.statement) > 1 and last != "lazy":
                 yield "keyword", ("lazy",)
+            if first == "respawn_fallback":
+                yield "keyword", ("lease",) if "on" in self.statement else ("on",)
             yield "keyword", _STATEMENTS.get(block, ())
             if block == "node":
                 found = self._declared(self._word_after(self.blocks[-1], 3))

@@ -179,6 +179,8 @@ class SymbolIndex:
             name = resolve_name(entry.namespace, declared.container.text)
             yield Occurrence(Symbol("container", name), declared.container.span, namespace=entry.namespace)
         yield from self._host(declared.host)
+        for statement in declared.respawn:
+            yield from self._host(statement.host)
         fallbacks = (statement.component for statement in declared.respawn)
         for component in filter(None, (declared.component, *fallbacks)):
             yield Occurrence(Symbol("component", component.text), component.span)

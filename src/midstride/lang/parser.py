@@ -211,7 +211,7 @@ class Parser(ComponentParser):
         return syntax.NodeDeclaration(name, component, *stated, incomplete, container, host)
 
     def _respawn(self, statements: list[syntax.RespawnStatement], word: str, start: int) -> None:
-        amount, bound, component, unlimited = None, None, None, False
+        amount, bound, component, unlimited, host = None, None, None, False, None
         if word == "respawn_delay":
             amount = self.seconds("a delay")
             bound = self.seconds("the longest delay") if self.accept_word("to") else None
@@ -221,8 +221,13 @@ class Parser(ComponentParser):
             bound = self.seconds("a time") if self.accept_word("in") else None
         elif word == "respawn_fallback":
             component = self.name("a component name")
+            if self.kinds[self.i + 1] not in {"<-", "->"}:  # else it is a port of that name
+                host = self._on()
+            if host is not None and self.kinds[self.i + 1] not in {"<-", "->"} and self.accept_word("lease"):
+                amount = self.seconds("the time of a lease")
         keyword = syntax.Name(word, self.span(start))
-        statements.append(syntax.RespawnStatement(keyword, self.since(start), amount, bound, component, unlimited))
+        stated = (amount, bound, component, unlimited, host)
+        statements.append(syntax.RespawnStatement(keyword, self.since(start), *stated))
 
     def _attachment(self, attachments: list[syntax.Attachment]) -> bool:
         if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"<-", "->", "=", ":", "path", "<"}:

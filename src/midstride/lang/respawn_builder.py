@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from midstride.lang.declarations import host_of
 from midstride.lang.diagnostic_text import Note, Reporter
 from midstride.lang.source import Span
 from midstride.lang.syntax import Number, RespawnStatement
@@ -34,6 +35,8 @@ def respawn_policy(statements: Sequence[RespawnStatement], reporter: Reporter) -
         max_retries=None if retries and retries.unlimited else int(_value(retries and retries.amount, _MOST)),
         window=_value(retries and retries.bound, _DEFAULT.window),
         fallback=None if fallback is None or fallback.component is None else fallback.component.text,
+        fallback_host=None if fallback is None or fallback.host is None else host_of(fallback.host),
+        lease=None if fallback is None or fallback.amount is None else fallback.amount.value,
     )
 
 
@@ -51,6 +54,8 @@ def respawn_span(statements: Sequence[RespawnStatement], path: Sequence[str]) ->
         "max_retries": retries and retries.amount,
         "window_seconds": retries and retries.bound,
         "fallback": fallback and fallback.component,
+        "fallback_host": fallback and (fallback.host or fallback.component),
+        "lease_seconds": fallback and (fallback.amount or fallback.host),
     }
     place = places.get(path[0]) if path else None
     return by_word.get("respawn", statements[0]).keyword.span if place is None else place.span

@@ -308,7 +308,7 @@ class Attachment(NamedTuple):
 
 class RespawnStatement(NamedTuple):
     """``respawn``, ``respawn_delay AMOUNT to BOUND``, ``respawn_max_retries AMOUNT in BOUND``,
-    ``respawn_max_retries unlimited`` or ``respawn_fallback COMPONENT``."""
+    ``respawn_max_retries unlimited`` or ``respawn_fallback COMPONENT on HOST lease AMOUNT``."""
 
     keyword: Name
     span: Span
@@ -316,6 +316,7 @@ class RespawnStatement(NamedTuple):
     bound: Number | None = None
     component: Name | None = None
     unlimited: bool = False
+    host: Name | None = None
 
 
 class NodeDeclaration(NamedTuple):

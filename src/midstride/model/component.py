@@ -443,6 +443,11 @@ class ComponentSpec:
         return self.gate in (None, "relay")
 
     @property
+    def keeps_lease(self) -> bool:
+        """Return whether its outputs fall silent once a lease is over, and nothing else of it is left to be heard."""
+        return self.gate is None and not any(map(self.is_service, self.outputs))
+
+    @property
     def counts_messages(self) -> bool:
         """Return whether it is known what the component's nodes publish and receive: by their own count, or by that
         of a gate.

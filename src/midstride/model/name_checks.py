@@ -295,6 +295,9 @@ def _node_names(specification: Specification, node: Node, path: SubjectPath) -> 
     if node.respawn is not None and node.respawn.fallback is not None:
         where = (*path, "respawn", "fallback")
         yield from _unknown("component", node.respawn.fallback, specification.components, where, ("components",))
+        if node.respawn.fallback_host:
+            where, hosts = (*path, "respawn", "fallback_host"), {*specification.hosts, MANAGER}
+            yield from _unknown("host", node.respawn.fallback_host, hosts, where, ("hosts",))
     for port in sorted(node.attachments):
         if component is not None:
             declared = ("components", component.name, "outputs")

@@ -6,12 +6,16 @@ Part of :mod:`midstride.model.specification_checks`. Names without a declaration
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from midstride.model.component import ComponentSpec, PortRef
 from midstride.model.component_rules import number_problems
 from midstride.model.contract import format_number
 from midstride.model.diagnostics import Problem, SubjectPath
+from midstride.model.host_checks import placement_problems
+from midstride.model.hosts import host_in_words
 from midstride.model.name_checks import missing_for_constraints
+from midstride.model.respawn import SHORTEST_LEASE, RespawnPolicy
 from midstride.model.rules import attachment_shortfall
 from midstride.model.specification import Node, Specification
 
@@ -32,20 +36,53 @@ def respawn_problems(specification: Specification, node: Node, path: SubjectPath
     if component is not None and component.run is None:
         message = f"{node.role} cannot be restarted: component {component.name} has no `run` command"
         yield Problem("E026", path, message, "remove `respawn`; what has started the node has to restart it")
-    if policy.fallback is not None and policy.max_retries is None:
+    yield from _lease_problems(node, policy, component, path)
+    if policy.fallback is not None and policy.max_retries is None and not policy.is_leased(node.host):
         message = f"{node.role} never falls back to {policy.fallback}: its restarts are unlimited"
         yield Problem("E026", (*path, "fallback"), message, "state how many, or omit `respawn_fallback`")
     fallback = None if policy.fallback is None else specification.components.get(policy.fallback)
     if fallback is None:
         return
-    if policy.fallback == node.component:
-        message = f"the fallback of {node.role} is {node.component}, the component that it has"
-        yield Problem("W035", (*path, "fallback"), message, "name another component")
+    if not policy.falls_back_from(node.component, node.host):
+        where = "" if policy.fallback_host is None else f" on {host_in_words(node.host)}, where it is"
+        message = f"the fallback of {node.role} is {node.component}, the component that it has{where}"
+        yield Problem("W035", (*path, "fallback"), message, "name another component, or another host")
         return
+    if policy.fallback_host == node.host:
+        message = f"the fallback of {node.role} is on {host_in_words(node.host)}, where it is"
+        yield Problem("W035", (*path, "fallback_host"), message, "name another host, or omit it")
     for fault in _faults(specification, node, fallback):
         message = f"{fallback.name} cannot replace {node.role}: {fault}"
         help = "name a component that fits the node's topics and constraints"
         yield Problem("E026", (*path, "fallback"), message, help)
+
+
+def _lease_problems(
+    node: Node, policy: RespawnPolicy, component: ComponentSpec | None, path: SubjectPath
+) -> Iterator[Problem]:
+    """A lease that is too short, or that the node cannot keep."""
+    yield from number_problems(policy.lease, "the lease of a node", (*path, "lease_seconds"))
+    if policy.lease is not None and policy.fallback_host is None:
+        message = f"{node.role} needs no lease: its fallback is on its own host"
+        yield Problem("E026", (*path, "lease_seconds"), message, "name the host of the fallback, or omit the lease")
+    elif policy.lease is not None and 0 < policy.lease < SHORTEST_LEASE:
+        message = f"the lease of {node.role}, {format_number(policy.lease)} s, may be over while a message is only late"
+        yield Problem("E026", (*path, "lease_seconds"), message, f"write at least {format_number(SHORTEST_LEASE)} s")
+    if not policy.leaves(node.host):
+        return
+    if node.container is not None:
+        message = f"the fallback of {node.role} is on another host, and its container {node.container} is not"
+        yield Problem("E026", (*path, "fallback_host"), message, "omit the host, or take the node out of its container")
+    if component is None or component.keeps_lease or not policy.is_leased(node.host):
+        return
+    why = "it has a server, which would answer besides"
+    if component.gate is not None:
+        why = f"component {component.name} does not use Midstride's API (`gate {component.gate}`)"
+    message = (
+        f"{node.role} cannot keep a lease, so nothing may take its place while {host_in_words(node.host)} "
+        f"cannot be reached: {why}"
+    )
+    yield Problem("E026", (*path, "fallback_host"), message, "omit the host of the fallback")
 
 
 def _faults(specification: Specification, node: Node, fallback: ComponentSpec) -> Iterator[str]:
@@ -64,6 +101,11 @@ def _faults(specification: Specification, node: Node, fallback: ComponentSpec) -
                 if clauses:
                     yield f"{shortfall}: {', '.join(clauses)}"
     reported = missing_for_constraints(specification, node.role)
-    for missing in missing_for_constraints(specification.with_replaced(node.role, fallback.name), node.role):
+    replaced = specification.with_replaced(node.role, fallback.name)
+    for missing in missing_for_constraints(replaced, node.role):
         if missing not in reported:
             yield missing
+    host = None if node.respawn is None else node.respawn.fallback_host
+    if host is not None:
+        moved = replace(replaced.nodes[node.role], host=host)
+        yield from (problem.message for problem in placement_problems(specification, moved, ()) if not node.container)

@@ -37,12 +37,14 @@ def change_between(
     apart: Mapping[str, str] = Map(),
     *,
     same_process: bool = False,
+    taken: Collection[str] = (),
 ) -> Change:
     """The change of the whole system to ``target``. Linear in the system.
 
     A role that has no live instance comes, but those ``away``; an instance of no role leaves. The roles ``renewed`` get
     a new instance even where nothing differs. ``apart``: by role that has none, the container that its last instance
-    had left for a process for itself, which it gets again. Raises PlanRefused where either end does not meet the
+    had left for a process for itself, which it gets again. ``taken``: names that no new instance gets, as what has them
+    may still run, out of reach. Raises PlanRefused where either end does not meet the
     target's caps, capacities, environment or contracts.
     """
     require_same_hosts(configuration, specification, target)
@@ -55,7 +57,7 @@ def change_between(
         raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
     raised = best(start)
     baseline = raised if start.context == configuration.context else best(configuration)
-    builder = ChangeBuilder(specification, target, start, identities, renewed, apart, same_process)
+    builder = ChangeBuilder(specification, target, start, identities, renewed, apart, same_process, taken)
     for role in sorted({*target.nodes, *start.instances_by_role}.difference(away)):
         builder.compare(role)
     pending = tuple(sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index))
@@ -74,6 +76,7 @@ def requested_change(
     target: Specification,
     measured: Mapping[str, Estimate] | None = None,
     apart: Mapping[str, str] = Map(),
+    taken: Collection[str] = (),
 ) -> Change:
     """The change that a request asks for; ``target`` is the specification that it leads to.
 
@@ -82,9 +85,13 @@ def requested_change(
     """
     renewed, same = request.renewed(target), request.same_process
     if request.to is not None or request.stops_everything:
-        return change_between(configuration, specification, target, measured, renewed, apart=apart, same_process=same)
+        return change_between(
+            configuration, specification, target, measured, renewed, apart=apart, same_process=same, taken=taken
+        )
     roles = request.roles()
-    return change_of_roles(configuration, specification, target, roles, measured, renewed, apart, same_process=same)
+    return change_of_roles(
+        configuration, specification, target, roles, measured, renewed, apart, same_process=same, taken=taken
+    )
 
 
 def change_of_roles(
@@ -97,13 +104,14 @@ def change_of_roles(
     apart: Mapping[str, str] = Map(),
     *,
     same_process: bool = False,
+    taken: Collection[str] = (),
 ) -> Change:
     """The change where ``target`` differs from ``specification`` only in the nodes ``roles``.
 
     The cost follows the roles and their forward cone, not the size of the system. ``configuration`` must be in its
-    best modes. ``apart`` as for :func:`change_between`, which raises PlanRefused as this does.
+    best modes. ``apart`` and ``taken`` as for :func:`change_between`, which raises PlanRefused as this does.
     """
-    builder = ChangeBuilder(specification, target, configuration, {}, renewed, apart, same_process)
+    builder = ChangeBuilder(specification, target, configuration, {}, renewed, apart, same_process, taken)
     for role in sorted(set(roles)):
         builder.compare(role)
     return builder.change(builder.final(()), measured)
@@ -121,9 +129,10 @@ class ChangeBuilder:
         renewed: Collection[str],
         apart: Mapping[str, str],
         same_process: bool = False,
+        taken: Collection[str] = (),
     ) -> None:
         self.specification, self.target, self.start, self.identities = specification, target, start, identities
-        self.renewed, self.apart, self.same_process = renewed, apart, same_process
+        self.renewed, self.apart, self.same_process, self.taken = renewed, apart, same_process, taken
         self.leaving: list[str] = []
         self.coming: dict[str, Instance] = {}
         self.replaced: dict[str, str] = {}
@@ -213,9 +222,10 @@ class ChangeBuilder:
 
     def _fresh(self, role: str, bare: bool) -> str:
         """The name of a new instance (docs/semantics.md section 6). Only a first instance gets the role's own."""
-        if bare and role not in self.start.instances and role not in self.coming:
+        used = (self.start.instances, self.coming, self.taken)
+        if bare and not any(role in some for some in used):
             return role
-        return fresh_name(role, self.start.instances, self.coming, self.specification.nodes, self.target.nodes)
+        return fresh_name(role, *used, self.specification.nodes, self.target.nodes)
 
     def _choose_processes(self) -> None:
         """Say in which process of its container each new instance is.

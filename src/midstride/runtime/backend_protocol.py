@@ -116,6 +116,7 @@ class Exited:
 
     ``because``: why it is missing, where there is more to say: why it could not be started, or what to state.
     ``loading``: the process of a container has exited, or has not answered, while it was loading the instance.
+    ``silent``: nothing is known of the process, since its host cannot be reached; but its lease is over.
     """
 
     instance: str
@@ -123,6 +124,7 @@ class Exited:
     log_tail: str = ""
     because: str | None = None
     loading: bool = False
+    silent: bool = False
 
     @property
     def words(self) -> str:

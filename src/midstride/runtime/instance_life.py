@@ -64,6 +64,7 @@ class ProcessEvent(Enum):
     EXITED = "it exited unexpectedly"
     MISSED = "its role is without it"
     REPLACED = "its role has an instance again, or needs none"
+    SUPPLANTED = "it is silent on a host that cannot be reached, and its role has another instance, or needs none"
 
 
 class ConnectionState(Enum):
@@ -112,6 +113,7 @@ PROCESSES: Final = Transitions.read(
     exited      .        exited   exited   .        exited   exited   exited   missing
     missed      missing  .        .        .        .        missing  missing  .
     replaced    .        .        .        .        .        .        absent   absent
+    supplanted  .        .        .        .        .        .        .        stuck
     """,
 )
 # `refused` in open: the connection has been reopened, and leads to another process.
@@ -165,7 +167,8 @@ class InstanceLife:
     ``handle``: how its process is found, if a manager started it. ``latest``: what it reported last, while it is
     connected; ``keeps_state``: whether it exports state, by what it reported last. ``exit``: of one that has exited or
     is missing; ``role``: of one that is missing, or was. ``fenced``: of one that is, what was done and why; ``closed``:
-    the ports and topics of its outputs that were closed. ``history``: the latest transitions, with their reasons.
+    the ports and topics of its outputs that were closed. ``silent``: its host cannot be reached, and its lease is over:
+    it writes nothing, and is to be ended once it can be. ``history``: the latest transitions, with their reasons.
     """
 
     process: ProcessState = ProcessState.ABSENT
@@ -178,6 +181,7 @@ class InstanceLife:
     role: str | None = None
     fenced: FencedInstance | None = None
     closed: list[tuple[str, str]] = field(default_factory=list)
+    silent: bool = False
     history: deque[Transition] = field(default_factory=lambda: deque(maxlen=KEPT))
 
     @property
@@ -216,8 +220,8 @@ class LifeTable:
             case ProcessEvent():
                 before, life.process = life.process, PROCESSES.after(life.process, event, name)
                 if event in {ProcessEvent.ENDED, ProcessEvent.KILLED, ProcessEvent.COMPLETED}:
-                    life.handle = None
-                if event is ProcessEvent.REPLACED:
+                    life.handle, life.silent = None, False
+                if event in {ProcessEvent.REPLACED, ProcessEvent.SUPPLANTED}:
                     life.role = None
                 if life.process not in {ProcessState.EXITED, ProcessState.MISSING}:
                     life.exit = None  # of an earlier process of that name
@@ -250,6 +254,11 @@ class LifeTable:
         self._of(exit.instance).exit = exit
         self.record(exit.instance, event, exit.words)
 
+    def fell_silent(self, exit: Exited) -> None:
+        """Record that the host of an instance cannot be reached, and its lease is over: it counts as exited."""
+        self._of(exit.instance).silent = True
+        self.exited(exit)
+
     def missed(self, name: str, role: str | None, exit: Exited) -> None:
         """Record that a role is without an instance: ``name`` has exited unexpectedly, or could not be started."""
         life = self._of(name)
@@ -271,9 +280,12 @@ class LifeTable:
         found = self.exits
         for name, exit in found.items():
             if name in instances:
-                self._of(name).handle = None
+                if not self[name].silent:
+                    self._of(name).handle = None
                 self.missed(name, instances[name].role, exit)
             else:
+                if (life := self[name]).silent:  # it has exited by now, and needs no end
+                    life.handle, life.silent = None, False
                 self.record(name, ProcessEvent.REPLACED)
         return sorted(found.keys() & instances.keys())
 
@@ -327,6 +339,11 @@ class LifeTable:
         """True if an instance could not be terminated on another host, where it may run and publish."""
         life = self[name]
         return life.process is ProcessState.STUCK and life.handle is not None and bool(life.handle.host)
+
+    @property
+    def silent(self) -> set[str]:
+        """The instances that may run on a host that cannot be reached, and whose lease is over."""
+        return {name for name, life in self._lives.items() if life.silent}
 
     @property
     def fenced(self) -> dict[str, FencedInstance]:

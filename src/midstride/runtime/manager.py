@@ -26,8 +26,8 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
 from midstride.model.wording import counted
 from midstride.plan.plan import Plan
-from midstride.plan.request import PlanRequest
-from midstride.runtime.backend_protocol import Backend
+from midstride.plan.request import PlanRequest, require
+from midstride.runtime.backend_protocol import Backend, Exited
 from midstride.runtime.change.change_permission import NO_OVERRIDE, Override
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler
@@ -37,13 +37,14 @@ from midstride.runtime.handover.fences import DEFAULT_WAIT
 from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
-from midstride.runtime.process.reached_hosts import out_of_reach
+from midstride.runtime.process.reached_hosts import out_of_reach, unreached
 from midstride.runtime.records.change_history import History, SpecificationVersion
 from midstride.runtime.records.change_report import ChangeReport
 from midstride.runtime.records.disk import DISK, Disk
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.reports import (
+    DeadHost,
     DownReport,
     Event,
     LiveConfiguration,
@@ -54,6 +55,7 @@ from midstride.runtime.records.reports import (
 from midstride.runtime.records.state_store import StateStore
 from midstride.runtime.records.status_forms import ChangeLock, ParametersReport, ProgramStatus, Status, Why
 from midstride.runtime.restore.bring_up import BringUp
+from midstride.runtime.restore.fallback_leases import FallbackLeases
 from midstride.runtime.restore.half_done import HALF_DONE
 from midstride.runtime.restore.respawner import Respawner
 from midstride.runtime.restore.restoring import Restorer
@@ -120,7 +122,8 @@ class Manager:
         self._respawner = Respawner(system, clock, events, reconciler, session)
         self._restorer = Restorer(system, client, clock, events, reconciler, session, not options.keep_degraded)
         self._returned = ReturnedHosts(system, clock, events, reconciler, session, backend.host_links)
-        self.watched = WatchedSystem(session, self._respawner, self._restorer, options.spares)
+        self._leases = leases = FallbackLeases(system, client, clock, events, reconciler, backend.host_links)
+        self.watched = WatchedSystem(session, self._respawner, self._restorer, leases, options.spares)
         launcher.on_killed = lambda name, seconds, words, unfinished: events.add(
             "killed", words, instance=name, seconds=seconds, unfinished=unfinished
         )
@@ -129,7 +132,7 @@ class Manager:
         events.listeners += [journal.note, self._while_watching]
         commands.listeners += [self._watch.look_soon, self._keep_spares]
         reconciler.observers += [self._respawner, self._restorer]
-        listening = (launcher, self._programs, reconciler, self._restorer, self._returned)
+        listening = (launcher, self._programs, reconciler, self._restorer, self._returned, leases)
         client.listeners += [part.on_component_event for part in listening]
 
     def _while_watching(self, event: Event) -> None:
@@ -232,6 +235,7 @@ class Manager:
         await self._respawner.close()
         await self._restorer.close()
         await self._returned.close()
+        await self._leases.close()
         await self._session.permission.close()
         await self._reconciler.close()
         await self._programs.close()
@@ -424,6 +428,28 @@ class Manager:
         restored, but by commands that override the lock. Raises ChangeForbidden if it is locked already.
         """
         return self._session.permission.lock(reason, by, until, holds_recovery)
+
+    async def declare_dead(self, host: str, by: str) -> DeadHost:
+        """Take what runs on ``host``, which cannot be reached, for exited, as ``by`` says: it may be started elsewhere.
+
+        What runs there all the same is ended once the host is reached again. Raises PlanRefused for an unknown host,
+        ManagerError for one that is reached, ChangeForbidden while the system is locked.
+        """
+        words = f"dead {host}"
+        async with self._reconciler.command(words):
+            require("host", host, self.specification.hosts)
+            if host not in unreached(self._backend):
+                raise ManagerError(
+                    f"host {host} is reached, so it is not dead; `midstride replace NODE --on` moves nodes"
+                )
+            if (because := self._session.permission.recorded_refusal(f"{by}: `{words}`", NO_OVERRIDE)) is not None:
+                raise ChangeForbidden(because)
+            instances = self.configuration.instances.items()
+            names = sorted(name for name, each in instances if each.host == host and not each.component.once)
+            for name in names:
+                because = f"{name} is given up: {by} has declared host {host} dead"
+                self._reconciler.fell_silent(Exited(name, None, because=because, silent=True))
+            return DeadHost(host=host, instances=names)
 
     def unlock(self, by: str) -> ChangeLock:
         """End the lock, on behalf of ``by``; returns it. Raises ChangeForbidden if there is none."""

@@ -97,4 +97,5 @@ class RunningSystem:
         self.apart = {role: name for role, name in self.apart.items() if self._is_apart(role, name)}
         for name in self.life.missing:
             if (role := self.role_of_missing(name)) is None or self.has_instance(role):
-                self.life.record(name, ProcessEvent.REPLACED)
+                silent = self.life[name].silent
+                self.life.record(name, ProcessEvent.SUPPLANTED if silent else ProcessEvent.REPLACED)

@@ -25,7 +25,15 @@ from midstride.plan.forms.request_form import ChangeRequest
 from midstride.runtime.records.change_history import History, SpecificationVersion
 from midstride.runtime.records.change_report import ChangeReport
 from midstride.runtime.records.rehearsal_forms import Rehearsal
-from midstride.runtime.records.reports import DownReport, Event, LiveConfiguration, Outcome, PlannedChange, UpReport
+from midstride.runtime.records.reports import (
+    DeadHost,
+    DownReport,
+    Event,
+    LiveConfiguration,
+    Outcome,
+    PlannedChange,
+    UpReport,
+)
 from midstride.runtime.records.status_forms import ChangeLock, ParametersReport, ProgramStatus, Service, Why
 from midstride.server.checked_text import CheckedText, checked
 from midstride.server.error_answers import Failure, answer, status_of
@@ -35,6 +43,7 @@ from midstride.server.openapi import answers, document_forms, failures, request_
 from midstride.server.rehearsing import Rehearser
 from midstride.server.report.documents import change_file
 from midstride.server.requests import (
+    DeathRequest,
     LockRequest,
     ParameterSetting,
     SubmittedChange,
@@ -42,6 +51,7 @@ from midstride.server.requests import (
     SubmittedText,
     UnlockRequest,
     read_change,
+    read_death,
     read_lock,
     read_rehearsal,
     read_request,
@@ -298,6 +308,13 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         asked = await read_unlock(http)
         lifecycle.require_up()
         return answer(manager.unlock(asked.by))
+
+    @router.post("/dead", responses=answers(DeadHost, body=True), openapi_extra=request_body(DeathRequest))
+    async def declare_dead(http: Request) -> Response:
+        """Take what runs on a host that cannot be reached for exited, so that it may be started elsewhere."""
+        asked = await read_death(http)
+        lifecycle.require_up()
+        return answer(await lifecycle.carry_out(manager.declare_dead(asked.host, asked.by)))
 
     @router.post("/down", responses=answers(DownReport))
     async def down(id: _Id = None) -> Response:

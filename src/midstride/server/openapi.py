@@ -18,6 +18,7 @@ from midstride.server.checked_text import CheckedText
 from midstride.server.error_answers import Failure
 from midstride.server.requests import (
     LARGEST_BODY,
+    DeathRequest,
     LockRequest,
     ParameterSetting,
     SubmittedChange,
@@ -31,6 +32,7 @@ Responses: TypeAlias = dict[int | str, dict[str, Any]]
 
 FORMS: Final = (
     ChangeRequest,
+    DeathRequest,
     Failure,
     LockRequest,
     UnlockRequest,
@@ -45,6 +47,7 @@ FORMS: Final = (
     History,
     Rehearsal,
     SpecificationVersion,
+    reports.DeadHost,
     reports.DownReport,
     reports.Event,
     reports.LiveConfiguration,

@@ -109,6 +109,15 @@ class UnlockRequest(Form, frozen=True):
     by: Annotated[str, field("who unlocks it", min_length=1, max_length=200)]
 
 
+class DeathRequest(Form, frozen=True):
+    """The statement that a host which cannot be reached is dead, so that its nodes may be started elsewhere."""
+
+    what: ClassVar[str] = "a dead host"
+
+    host: NonEmptyName
+    by: Annotated[str, field("who says so", min_length=1, max_length=200)]
+
+
 class SubmittedText(Form, frozen=True, kw_only=True):
     """The text of a specification: JSON where `name` ends in `.json`, else the Stride language."""
 
@@ -153,6 +162,11 @@ async def read_lock(http: HttpRequest) -> LockRequest:
 async def read_unlock(http: HttpRequest) -> UnlockRequest:
     """The end of a lock in the body. Raises as :func:`read_request` does."""
     return await _read(http, UnlockRequest, lambda form: form, lambda _: ())
+
+
+async def read_death(http: HttpRequest) -> DeathRequest:
+    """The dead host in the body. Raises as :func:`read_request` does."""
+    return await _read(http, DeathRequest, lambda form: form, lambda _: ())
 
 
 async def read_request(http: HttpRequest) -> PlanRequest:

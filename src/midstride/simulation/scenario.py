@@ -13,6 +13,7 @@ from immutables import Map
 from midstride.lang.load import load_text
 from midstride.model.component import DEFAULT_CONTAINER
 from midstride.model.hosts import OWN_HOST, HostSpec, word_of_host
+from midstride.model.respawn import RespawnPolicy
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.request import PlanRequest
@@ -222,6 +223,8 @@ def _built_in(name: str) -> Specification:
         return _composed(_built_in("rover"))
     if name == "spread":
         return _spread(_built_in("rover"))
+    if name == "leased":
+        return _leased(_built_in("spread"))
     text, stateless = _BUILT_IN[name]
     return with_stand_ins(load_text(text).require(), stateless)
 
@@ -244,6 +247,19 @@ def _spread(rover: Specification) -> Specification:
     nodes = {role: replace(node, host=_ON.get(role, OWN_HOST)) for role, node in rover.nodes.items()}
     hosts = {name: HostSpec(name, name) for name in _HOSTS}
     return replace(rover, name="spread", nodes=Map(nodes), hosts=Map(hosts))
+
+
+# The hosts of the fallbacks of these, which are other instances of the same components, and their leases (s): one is
+# over before a link that fails is noticed, another one later.
+_FALLBACKS: Final = {"lidar": ("arm", 2.0), "detector": ("base", 10.0), "driver": (OWN_HOST, 5.0)}
+
+
+def _leased(spread: Specification) -> Specification:
+    nodes = spread.nodes
+    for role, (host, lease) in _FALLBACKS.items():
+        policy = RespawnPolicy(fallback=nodes[role].component, fallback_host=host, lease=lease)
+        nodes = nodes.set(role, replace(nodes[role], respawn=policy))
+    return replace(spread, name="leased", nodes=nodes)
 
 
 # What may take the place of what.
@@ -271,8 +287,8 @@ def built_in(random: random.Random, current: Specification | None = None, name: 
     """A built-in system, as it is or as earlier changes have left it, with a drawn change of one or two nodes.
 
     A node that an earlier change has removed is added again before anything else. ``name``: `rover`; `docking`, which
-    has services and ROS actions; `composed`, the rover with three nodes in a container; or `spread`, the rover on three
-    hosts.
+    has services and ROS actions; `composed`, the rover with three nodes in a container; `spread`, the rover on three
+    hosts; or `leased`, the same with fallbacks on other hosts.
     """
     specification = current or _built_in(name)
     request = _built_in_change(random, specification)

@@ -135,6 +135,7 @@ class Simulation:
         self._platform.network.random.seed(self._random.getrandbits(32))
         system.on_event, system.on_exit = self._on_manager_event, self._on_exit
         moved = {role for request in scenario.changes for role, _ in request.on}
+        moved |= {role for role, node in scenario.specification.nodes.items() if node.respawn and node.respawn.fallback}
         system.invariants.begin(
             self._reaction, self._lateness, self._uninterrupted, self._torn, self._violated, self._deafened, moved
         )
@@ -349,6 +350,8 @@ class Simulation:
     def _reaction(self) -> float:
         if self._busy or self._faulty or not self._system.lives[-1].alive or not self._are_reached():
             return math.inf
+        if self._manager.watched.commands.is_changing:  # by itself, as a fallback takes over
+            return math.inf
         if self._has_struck("refused request"):
             return REACTION_IF_REFUSED
         return REACTION_IF_UNREACHED if self._has_struck(*LOSSES, *OF_LINKS) else REACTION
@@ -424,8 +427,9 @@ class Simulation:
         elif event.kind in ("rollback", "rollback_failed", "degraded", "exited"):
             self._reached(event.kind)
         if event.kind == "exited":
+            life = self._manager.system.life
             for process in self._platform.stand_ins():
-                if process.host and self._manager.system.life.has_exited(process.instance):
+                if process.host and life.has_exited(process.instance) and process.instance not in life.silent:
                     self._violated(f"{process.instance} is said to have exited, and runs")
         if "internal error" in event.words:
             self._violated(event.words)

@@ -32,6 +32,7 @@ from midstride.wire.replies import (
     GatedWrites,
     Grid,
     Idle,
+    LeaseKept,
     MissingRequests,
     PagePlace,
     PreviousModes,
@@ -451,6 +452,18 @@ class FenceCommand(Command[FencedOutputs], frozen=True, kw_only=True, tag="fence
     attachments: list[tuple[str, str]]
     lift: bool = False
     timeout: Seconds = 0.3
+
+
+class KeepLeaseCommand(Command[LeaseKept], frozen=True, kw_only=True, tag="keep_lease"):
+    """Let what is written on any output pass for ``seconds`` from ``seen`` on, and nothing after that; None: for good.
+
+    ``seen``: a moment on the component's steady clock (ns) that it has answered such a command with. Without one,
+    nothing changes but that it answers. Carried out as a fence is.
+    """
+
+    kind = "between"
+    seconds: Seconds | None
+    seen: int | None = None
 
 
 class AnswerCommand(Command[Answers], frozen=True, kw_only=True, tag="answer"):

@@ -279,6 +279,12 @@ class FencedOutputs(WireValue, frozen=True, kw_only=True):
     last: dict[str, int]
 
 
+class LeaseKept(WireValue, frozen=True, kw_only=True):
+    """``now``: the moment of the answer, on the component's steady clock (ns)."""
+
+    now: int
+
+
 class SharedSlotPlace(PagePlace, frozen=True, kw_only=True):
     """The part that a component gets in the page of the gates for the length of a hand-over.
 

@@ -19,7 +19,7 @@ from midstride.codec.form import encode
 from midstride.plan.forms.request_form import decode_request
 
 # Its built-in systems (`midstride.simulation.scenario`), which is imported only where it is needed.
-BUILT_IN: Final = ("rover", "composed", "docking", "spread")
+BUILT_IN: Final = ("rover", "composed", "docking", "spread", "leased")
 
 if TYPE_CHECKING:
     from midstride.simulation.campaign import Summary
@@ -63,7 +63,8 @@ def simulate_command(
     Where the system has several hosts, the links between them are cut, slow and lossy, and their clocks differ. When
     the faults are over, the system must have converged to its specification. Programs are not run: a stand-in takes the
     place of each and writes what its modes guarantee. Without FILE, built-in systems are changed, to test Midstride
-    itself: `rover`, `composed` with a container, `docking` with a service and a ROS action, `spread` on three hosts.
+    itself: `rover`, `composed` with a container, `docking` with a service and a ROS action, `spread` on three hosts,
+    `leased` with fallbacks on others of them.
 
     Exit status 1 if a run violates an invariant; the first one is shown.
     """

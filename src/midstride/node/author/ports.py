@@ -17,6 +17,7 @@ from midstride.model.contract import Predicate, QoS
 from midstride.node.author.declared_contracts import Guarantee, type_name
 from midstride.node.author.field_checks import FieldChecks
 from midstride.node.author.message_times import MessageTimes, window_of
+from midstride.node.author.write_lease import WriteLease
 from midstride.node.component_host import Host, Publisher, Subscription
 from midstride.wire.state import GateState, LinkState, Measured
 
@@ -91,7 +92,7 @@ class OutputLink:
     """One attachment of an output: a publisher behind a gate. Created closed.
 
     ``count`` is the number of published messages, as the middleware counts them; ``gated`` that of the others.
-    ``times`` has the writes of both.
+    ``times`` has the writes of both. ``lease``: that of the component, without which nothing passes once it is over.
     """
 
     __slots__ = (
@@ -101,6 +102,7 @@ class OutputLink:
         "gated",
         "held",
         "kept",
+        "lease",
         "open",
         "output",
         "publish",
@@ -109,8 +111,11 @@ class OutputLink:
         "topic",
     )
 
-    def __init__(self, output: Output, topic: str, publisher: Publisher, times: MessageTimes) -> None:
+    def __init__(
+        self, output: Output, topic: str, publisher: Publisher, times: MessageTimes, lease: WriteLease | None = None
+    ) -> None:
         self.output = output
+        self.lease = lease
         self.topic = topic
         self.times = times
         self.endpoint = publisher
@@ -140,6 +145,11 @@ class OutputLink:
     @property
     def fenced(self) -> bool:
         """Return whether nothing passes, however the gate is set."""
+        return self.is_fenced or (self.lease is not None and self.lease.is_over)
+
+    @property
+    def is_fenced(self) -> bool:
+        """Return whether a command has fenced it."""
         return self.publish == self._drop
 
     def fence(self, on: bool) -> None:
@@ -148,7 +158,28 @@ class OutputLink:
         It replaces what every message passes in the end, which the data thread never sets: so no command that still
         waits for that thread can open the gate again. One that is being published meanwhile is not held up.
         """
-        self.publish = self._drop if on else self.endpoint.publish
+        self.publish = self._drop if on else self._unfenced()
+
+    def follow_lease(self) -> None:
+        """The component has a lease now, or has none any more."""
+        if not self.is_fenced:
+            self.publish = self._unfenced()
+
+    def replace_endpoint(self, publisher: Publisher) -> None:
+        """Publish with another publisher, so that what the one before has not delivered is never delivered."""
+        before, self.endpoint = self.endpoint, publisher
+        self.follow_lease()
+        before.destroy()
+
+    def _unfenced(self) -> Callable[[Any], None]:
+        leased = self.lease is not None and self.lease.until is not None
+        return self._publish_leased if leased else self.endpoint.publish
+
+    def _publish_leased(self, message: Any) -> None:
+        if self.lease is not None and self.lease.is_over:
+            self._drop(message)
+        else:
+            self.endpoint.publish(message)
 
     def _drop(self, message: Any) -> None:
         """In the place of ``publish``: its callers count a message that has passed."""
@@ -193,7 +224,7 @@ class OutputLink:
 
     @property
     def gate(self) -> GateState:
-        if self.fenced:
+        if self.is_fenced:
             return "closed"
         if self.cut is not None:
             return self.cut.shows(self)

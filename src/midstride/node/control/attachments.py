@@ -20,6 +20,7 @@ from midstride.node.author.declaration import DeclaredParts
 from midstride.node.author.message_times import MessageTimes
 from midstride.node.author.ports import Input, InputLink, Output, OutputLink
 from midstride.node.author.server_ports import ServerLink, ServerPort
+from midstride.node.author.write_lease import WriteLease
 from midstride.node.component_host import Host
 from midstride.node.control.rate_watch import RateWatch
 from midstride.node.data.mode_switch import DataExecutor, within
@@ -46,6 +47,9 @@ class Attachments:
     parts: DeclaredParts
     host: Host
     data: DataExecutor
+
+    def __post_init__(self) -> None:
+        self.lease = WriteLease(self.host.steady)
 
     @property
     def relays(self) -> bool:
@@ -251,12 +255,13 @@ class Attachments:
             inlet.endpoint = self.host.create_subscription(topic, port.type, port.assumption.qos, receive)
             port.links = (*port.links, inlet)
             return inlet
-        link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos), times)
+        link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos), times, self.lease)
         once = port.owner.driven == "none" or (port.relayed and port.rate is None)
         for message in port.kept if port.latched or once else ():
             link.write_gated(message)  # what writes once may have written while unattached
         port.wrong_type = None
         port.links = (*port.links, link)
+        link.follow_lease()  # once more: a lease that has begun meanwhile has not found it
         return link
 
     def _open(self, link: OutputLink) -> None:

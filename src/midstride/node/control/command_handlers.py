@@ -24,6 +24,7 @@ from midstride.node.control.component_end import ComponentEnd
 from midstride.node.control.component_reflex import Reflex
 from midstride.node.control.discovery import discover
 from midstride.node.control.fence_commands import Fencing
+from midstride.node.control.lease_commands import Leasing
 from midstride.node.control.mode_commands import ModeCommands, Revision
 from midstride.node.control.state_hooks import StateHooks
 from midstride.node.data.functionality_runner import FunctionalityRunner
@@ -78,6 +79,7 @@ class CommandHandlers:
             self.patience,
         )
         self._fencing = Fencing(self._attachments, self.host, self._data, self._runners, self.changed)
+        self._leasing = Leasing(self._attachments, self.host, self._data, self.changed)
         self._handlers: dict[type[Command[Any]], CommandHandler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._detach,
@@ -101,6 +103,7 @@ class CommandHandlers:
             commands.DiscoverCommand: partial(discover, self.host),
             commands.AwaitIdleCommand: self._fencing.await_idle,
             commands.FenceCommand: self._fencing.fence,
+            commands.KeepLeaseCommand: self._leasing.keep,
             commands.AnswerCommand: self._handovers.answer,
             commands.YieldCommand: self._handovers.answering.stop,
             commands.JoinRequestsCommand: self._handovers.answering.join,

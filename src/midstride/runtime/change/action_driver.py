@@ -55,6 +55,7 @@ from midstride.runtime.instance_life import ProcessEvent
 from midstride.runtime.process.answering_instance import have_answer
 from midstride.runtime.process.component_client import ComponentClient
 from midstride.runtime.process.launcher import Launcher
+from midstride.runtime.process.reached_hosts import unreached
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.reports import StateMove
 from midstride.runtime.records.state_store import LeftState
@@ -426,7 +427,10 @@ class ActionDriver:
                 await answering_roles.have_first_answer(self.client, self.events, configuration, port.instance, moving)
             return
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
-        peers = sum(not self.system.life.is_gone(other.instance) for other in others)
+        # A subscriber that cannot be reached may be found later; what a publisher is needed for would not arrive.
+        lost = unreached(self.backend) if output else {}
+        hosts = ((other, configuration.instances[other.instance].host) for other in others)
+        peers = sum(not self.system.life.is_gone(other.instance) and host not in lost for other, host in hosts)
         attach = commands.AttachCommand(
             port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT, await_ready=False, **self._relied_on(port)
         )

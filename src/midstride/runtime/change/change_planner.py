@@ -51,6 +51,7 @@ class _Situation:
     how long starts have taken. ``orders`` are kept by a plan that replaces one role after another; the other strategies
     remove all first. The roles ``away`` do not run, and the plan leaves them so. ``said``: the values of those
     instances whose parameters are to be set. ``apart``: by role, the container that its last instance had left.
+    ``taken``: the names of instances that may still run where nothing can be reached.
     """
 
     specification: Specification
@@ -62,6 +63,7 @@ class _Situation:
     away: Collection[str]
     said: Mapping[str, Values]
     apart: Mapping[str, str]
+    taken: Collection[str]
 
 
 @dataclass
@@ -93,8 +95,9 @@ class ChangePlanner:
         away = [role for role in system.crashes if not system.has_instance(role)]
         away = [role for role in away if request.stays_away(role, system.specification)]
         said = await self._said([role for role, _ in request.parameters])
+        taken = system.life.silent
         situation = _Situation(
-            system.specification, system.configuration, values, unknown, measured, orders, away, said, apart
+            system.specification, system.configuration, values, unknown, measured, orders, away, said, apart, taken
         )
         plan, target = await asyncio.to_thread(_search, request, situation)
         if (because := out_of_reach(self.others.backend, target)) is not None:
@@ -168,11 +171,19 @@ def _search(request: PlanRequest, now: _Situation) -> tuple[Plan, Specification]
     if request.to is not None and not keep:
         configuration = _as_set(configuration, now.values)
     if request.to is None and len(request.roles()) == 1 and not request.half_done:
-        change = requested_change(configuration, specification, request, planned, now.measured, now.apart)
+        change = requested_change(configuration, specification, request, planned, now.measured, now.apart, now.taken)
     else:
         renewed, same = request.renewed(planned), request.same_process
         change = change_between(
-            configuration, specification, planned, now.measured, renewed, now.away, now.apart, same_process=same
+            configuration,
+            specification,
+            planned,
+            now.measured,
+            renewed,
+            now.away,
+            now.apart,
+            same_process=same,
+            taken=now.taken,
         )
     plan = planner(request.strategy, detours=request.detours)(change)
     parameters = of_change(plan.change, now.values, keep=keep, unknown=now.unknown)

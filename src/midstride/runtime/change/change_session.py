@@ -146,7 +146,8 @@ class ChangeSession:
             self.store.require()
             await self.reach_hosts(target)
             running = self.system.configuration
-            require_reached(self.backend, plan, running, self.launcher.left_on_hosts(running.instances))
+            left = self.launcher.left_on_hosts(running.instances)
+            require_reached(self.backend, plan, running, left, self.system.life.silent)
         except (PlanRefused, ManagerError, BackendError) as error:
             return self._refuse(str(error))
         verdict: Verdict | UnsetType = UNSET

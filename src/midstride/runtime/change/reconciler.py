@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Coroutine, Iterable, Mapping
+from collections.abc import AsyncIterator, Collection, Coroutine, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -54,6 +54,9 @@ class ReconciliationObserver:
 
     def degraded(self, ref: FunctionalityRef, index: int) -> None:
         """``ref`` has entered that mode, which no command of this manager has asked for."""
+
+    def cut_off(self, lowered: Collection[FunctionalityRef]) -> None:
+        """Functionalities were degraded, as what is silent on a host that cannot be reached counts as exited."""
 
     def reconciled(self) -> None:
         """The model is up to date after a command, or after what has happened without one."""
@@ -165,6 +168,12 @@ class Reconciler:
         else:
             self._reconcile_soon()
 
+    def fell_silent(self, event: Exited) -> None:
+        """The host of an instance cannot be reached, and its lease is over: it counts as exited."""
+        self.system.life.fell_silent(event)
+        self.events.add("note", event.words)
+        self._reconcile_soon()
+
     def _role_of(self, name: str) -> str | None:
         """The role of an instance of the model, or of the change in progress."""
         live, change = self.system.configuration.instances.get(name), self.commands.change
@@ -271,7 +280,8 @@ class Reconciler:
             for name in crashed:
                 self.system.gone(configuration.instances[name])
                 self.store.write_apart(self.system.apart)  # first: a manager that is killed in between finds it
-                self.store.remove_instance(name)
+                if not self.system.life[name].silent:  # else it is still to be ended
+                    self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.system.life)
             configuration, touched, because, handed_over = self._take_over_reported(configuration)
             for port, topic in handed_over:
@@ -297,6 +307,9 @@ class Reconciler:
             failed = await lower_modes(to_lower, words, self.client, self.system, self.events)
             if reached := {ref: index for ref, index in to_lower.items() if ref not in failed}:
                 self.system.moved(self.system.configuration.with_modes(reached))
+                if any(exits[name].silent for name in crashed):
+                    for observer in self.observers:
+                        observer.cut_off(reached)
             self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
 
     async def _end_left(self) -> None:

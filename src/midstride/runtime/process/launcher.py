@@ -352,9 +352,12 @@ class Launcher:
         self._life.exited(Exited(name, None), ProcessEvent.KILLED)
 
     def left_on_hosts(self, instances: Container[str]) -> dict[str, Handle]:
-        """By role: an instance that could not be ended on another host, and is not among ``instances``."""
+        """By role: an instance that could not be ended on another host, and is not among ``instances``.
+
+        One whose lease is over is silent there, and keeps nothing from taking its place.
+        """
         life = self._life
-        left = [(name, life[name].handle) for name in life.left_on_hosts(instances)]
+        left = [(name, life[name].handle) for name in life.left_on_hosts(instances) if not life[name].silent]
         return {self._roles.get(name, name): handle for name, handle in left if handle is not None}
 
     async def end_left(self, name: str) -> None:

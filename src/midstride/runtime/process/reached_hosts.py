@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 
 from immutables import Map
 
@@ -25,21 +25,33 @@ def out_of_reach(backend: Backend, specification: Specification) -> str | None:
     )
 
 
+def unreached(backend: Backend) -> dict[str, str]:
+    """By host that cannot be reached now: why, and what to do."""
+    return {each.host: each.problem for each in backend.host_links() if each.problem is not None}
+
+
 def require_reached(
-    backend: Backend, plan: Plan, configuration: Configuration, left: Mapping[str, Handle] = Map()
+    backend: Backend,
+    plan: Plan,
+    configuration: Configuration,
+    left: Mapping[str, Handle] = Map(),
+    silent: Container[str] = (),
 ) -> None:
     """Raises PlanRefused where a step of ``plan`` changes an instance on a host that cannot be reached now.
 
     Nothing is known of that instance, so the change could be neither carried out nor rolled back. ``left``: by role, an
-    instance that could not be ended on its host, and may run there: nothing takes its place before.
+    instance that could not be ended on its host, and may run there: nothing takes its place before. ``silent``:
+    instances whose lease is over, which may run there too, with their names.
     """
     for step in plan.steps:
+        if isinstance(step.action, Create) and (name := step.action.instance.name) in silent:
+            raise PlanRefused(f"{name} cannot be started now: another process of that name may run where it was before")
         if isinstance(step.action, Create) and (handle := left.get(step.action.instance.role)) is not None:
             raise PlanRefused(
                 f"{step.action.instance.role} cannot be started now: {handle.instance} could not be ended, and may run "
                 f"on host {handle.host}; it is ended once that can be reached"
             )
-    lost = {each.host: each.problem for each in backend.host_links() if each.problem is not None}
+    lost = unreached(backend)
     if not lost:
         return
     actions = [step.action for step in plan.steps]
@@ -48,4 +60,7 @@ def require_reached(
     for action in actions:
         for name in action.instances():
             if name in instances and (host := instances[name].host) in lost:
-                raise PlanRefused(f"{name} cannot be changed now: host {host} cannot be reached: {lost[host]}")
+                raise PlanRefused(
+                    f"{name} cannot be changed now: host {host} cannot be reached: {lost[host]}; if it is switched off "
+                    f"or destroyed, `midstride dead {host}` says so"
+                )

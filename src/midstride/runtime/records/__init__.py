@@ -2,10 +2,10 @@
 
 PUBLIC = (
     "ChangeLock ChangeRecord ChangeReport ChangeTimeline ClosingConnection CrashedInstance DISK Database "
-    "DegradedFunctionality Disk DownReport EndpointStatus Event EventCounts EventLog FencedInstance FieldStatus "
-    "FunctionalityStatus GAP_BOUNDS GoalTally History HostStatus Incident InstanceStatus Interrupted Journal "
-    "JournalEntry KilledProcess LeftState LiveConfiguration Middleware ModeInterval ModeRecorder ModeSkew NewChange "
-    "Observation OtherEndpoints OtherNodeStatus Outcome OutcomeKind ParameterStatus ParametersReport Phase "
+    "DeadHost DegradedFunctionality Disk DownReport EndpointStatus Event EventCounts EventLog FencedInstance "
+    "FieldStatus FunctionalityStatus GAP_BOUNDS GoalTally History HostStatus Incident InstanceStatus Interrupted "
+    "Journal JournalEntry KilledProcess LeftState LiveConfiguration Middleware ModeInterval ModeRecorder ModeSkew "
+    "NewChange Observation OtherEndpoints OtherNodeStatus Outcome OutcomeKind ParameterStatus ParametersReport Phase "
     "PlannedChange PortStatus ProgramStatus Rehearsal RehearsalOrder RehearsedSeed RequirementStatus RespawnStatus "
     "RunningCommand SAME_MODE SavedInstance SavedState Service SilenceFault SilenceKind SpareStatus "
     "SpecificationVersion StateMove StateStore Statement Status StepTime SwapReport TopicStatus UnixTime UpReport "

@@ -69,6 +69,13 @@ class DownReport(Report, frozen=True):
     killed: list[KilledProcess] = []
 
 
+class DeadHost(Report, frozen=True, kw_only=True):
+    """A host that a person has declared dead. Nothing is known of the ``instances`` that ran there."""
+
+    host: str
+    instances: list[str]
+
+
 class FencedInstance(Report, frozen=True, kw_only=True):
     """An instance that hung, was stopped or too slow, and was replaced inside a call of its user code."""
 

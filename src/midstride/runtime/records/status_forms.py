@@ -46,8 +46,8 @@ class Service(Report, frozen=True):
 class HostStatus(Report, frozen=True, kw_only=True):
     """The link to another host than the manager's, where the manager has started nodes, or may.
 
-    While it is down, nothing is known of the nodes there, and nothing is started elsewhere. The manager connects again
-    by itself.
+    While it is down, nothing is known of the nodes there, and nothing but ``fallbacks`` is started elsewhere. The
+    manager connects again by itself.
     """
 
     name: str
@@ -64,6 +64,9 @@ class HostStatus(Report, frozen=True, kw_only=True):
         Meta(description="of that when it was measured, give or take (s); the clocks may have drifted apart"),
     ] = None
     instances: Annotated[list[str], Meta(description="that run there, as far as is known")]
+    fallbacks: Annotated[
+        list[str], Meta(description="while it is down: what takes the place of which of them, and when")
+    ] = []
 
 
 class FunctionalityStatus(Report, frozen=True, kw_only=True):

@@ -12,6 +12,7 @@ import logging
 from dataclasses import dataclass, field
 from typing import Final
 
+from midstride.model.hosts import host_in_words, word_of_host
 from midstride.model.respawn import RespawnPolicy
 from midstride.model.wording import counted
 from midstride.plan.request import PlanRequest
@@ -19,6 +20,7 @@ from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler, ReconciliationObserver
 from midstride.runtime.manager_clock import Clock
+from midstride.runtime.process.reached_hosts import unreached
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.records.status_forms import RespawnStatus
 from midstride.runtime.restore.attempts import Attempts
@@ -37,7 +39,7 @@ class _Record:
 
     ``crashes``: what has been decided on. ``due``: when the next restart begins (steady s); ``carrying_out``: its plan
     has begun; ``falls_back``: it is one as another component; ``by_itself``: one with the others of its container has
-    failed; ``left``: why there is no next one.
+    failed; ``silent``: its host cannot be reached, and its lease is over; ``left``: why there is no next one.
     """
 
     attempts: Attempts = field(default_factory=Attempts)
@@ -46,6 +48,7 @@ class _Record:
     carrying_out: bool = False
     falls_back: bool = False
     by_itself: bool = False
+    silent: bool = False
     left: str | None = None
     task: asyncio.Task[None] | None = None
 
@@ -82,6 +85,12 @@ class Respawner(ReconciliationObserver):
                 continue
             if self._policy(role) is None or (self.system.has_instance(role) and record.attempts.runs_since is None):
                 self._forget(role, record)
+        for role, record in self._records.items():
+            policy = self._policy(role)
+            if record.silent and record.left is not None and policy is not None and not self._is_lost(role):
+                record.silent, record.left = False, None
+                record.attempts.made.clear()
+                self._on_crash(role, record, policy, f"the host of {role} is reached again")
         for role, crashes in self.system.crashes.items():
             policy, record = self._policy(role), self._records.get(role) or _Record()
             if policy is None or self.system.has_instance(role) or record.carrying_out:
@@ -89,7 +98,7 @@ class Respawner(ReconciliationObserver):
             new = [crash for crash in crashes if not any(crash is known for known in record.crashes)]
             record.crashes = crashes
             if new and record.task is None and record.left is None:
-                self._records[role] = record
+                self._records[role], record.silent = record, new[-1].silent
                 self._on_crash(role, record, policy, new[-1].words)
 
     def status(self, role: str | None) -> RespawnStatus | None:
@@ -127,6 +136,10 @@ class Respawner(ReconciliationObserver):
             return None
         return conditions.crashes_again(role, number, policy.window, record.crashes[-1].details)
 
+    def _is_lost(self, role: str) -> bool:
+        """Return whether the host of a node cannot be reached now."""
+        return self.system.specification.nodes[role].host in unreached(self.session.backend)
+
     def _policy(self, role: str) -> RespawnPolicy | None:
         node = self.system.specification.nodes.get(role)
         return None if node is None else node.respawn
@@ -142,6 +155,13 @@ class Respawner(ReconciliationObserver):
     def _on_crash(self, role: str, record: _Record, policy: RespawnPolicy, why: str) -> None:
         """``role`` does not run because of ``why``: plan the next restart, or what comes after the last one."""
         record.attempts.stopped(self.clock.steady())
+        node = self.system.specification.nodes[role]
+        if record.silent and self._is_lost(role):
+            if policy.leaves(node.host):
+                self._take_over(role, record, policy, why)
+            else:
+                self._leave(role, record, f"{host_in_words(node.host)} cannot be reached", f"{why}; ")
+            return
         if (number := record.attempts.next(policy)) is not None:
             delay = policy.delay_before(number)
             when = f"in {delay:.1f} s" if delay else "now"
@@ -149,14 +169,33 @@ class Respawner(ReconciliationObserver):
             self._schedule(role, record, PlanRequest(restart=(role,)), f"respawn {role}", delay)
             return
         used_up = f"{counted(policy.max_retries or 0, 'restart')} within {policy.window:g} s did not help"
-        fallback = policy.fallback
-        if fallback is None or self.system.specification.nodes[role].component == fallback:
+        if not policy.falls_back_from(node.component, node.host):
             self._leave(role, record, used_up, f"{why}; ")
             return
         record.attempts.made.clear()  # those of the fallback are counted anew
-        self.events.add("respawn", f"{why}; {used_up}: {role} is replaced by {fallback}")
-        request, words = PlanRequest(replace=((role, fallback),)), f"respawn {role} as {fallback}"
-        self._schedule(role, record, request, words, 0.0)
+        self._fall_back(role, record, policy, f"{why}; {used_up}", 0.0)
+
+    def _take_over(self, role: str, record: _Record, policy: RespawnPolicy, why: str) -> None:
+        """Have the fallback take the place of a node that is silent where it cannot be reached, again if that fails."""
+        if not record.falls_back:
+            record.attempts.made.clear()
+            self._fall_back(role, record, policy, why, 0.0)
+        elif (number := record.attempts.next(policy)) is not None:
+            self._fall_back(role, record, policy, why, policy.delay_before(number + 1))
+        else:
+            self._leave(role, record, f"{counted(policy.max_retries or 0, 'attempt')} to start its fallback failed")
+
+    def _fall_back(self, role: str, record: _Record, policy: RespawnPolicy, why: str, delay: float) -> None:
+        node, fallback = self.system.specification.nodes[role], policy.fallback
+        assert fallback is not None
+        on: tuple[tuple[str, str], ...] = ()
+        where = ""
+        if policy.fallback_host is not None and policy.fallback_host != node.host:
+            on, where = ((role, word_of_host(policy.fallback_host)),), f" on {host_in_words(policy.fallback_host)}"
+        when = f" in {delay:.1f} s" if delay else ""
+        self.events.add("respawn", f"{why}: {role} is replaced by {fallback}{where}{when}")
+        request, words = PlanRequest(replace=((role, fallback),), on=on), f"respawn {role} as {fallback}{where}"
+        self._schedule(role, record, request, words, delay)
 
     def _leave(self, role: str, record: _Record, why: str, event: str = "") -> None:
         record.left = why
@@ -196,9 +235,12 @@ class Respawner(ReconciliationObserver):
             its.carrying_out, its.task = False, None
             its.by_itself = failed is not None and (its.by_itself or (bool(beside) and not at_fault))
             if self.system.has_instance(each):
+                if its.silent:  # what has failed meanwhile is not the fault of the fallback
+                    its.silent = False
+                    its.attempts.made.clear()
                 its.attempts.runs_since = self.clock.steady()
             elif failed is not None and (policy := self._policy(each)) is not None and not self._stopped:
-                if request.replace:
+                if request.replace and not its.silent:
                     self._leave(each, its, failed)
                 else:
                     self._on_crash(each, its, policy, failed)

@@ -26,6 +26,7 @@ from midstride.runtime.change.reconciler import Reconciler, ReconciliationObserv
 from midstride.runtime.instance_life import SILENCE
 from midstride.runtime.manager_clock import Clock
 from midstride.runtime.process.component_client import ComponentClient, ComponentEvent, Disconnected
+from midstride.runtime.process.reached_hosts import unreached
 from midstride.runtime.records.events import EventLog
 from midstride.runtime.restore.attempts import Attempts
 from midstride.runtime.running_system import RunningSystem
@@ -85,6 +86,7 @@ class Restorer(ReconciliationObserver):
     # What has degraded by an exception or by another client's command, and to which mode: a command restores these.
     _held: dict[FunctionalityRef, int] = field(default_factory=dict)
     _left_out: set[FunctionalityRef] = field(default_factory=set)  # did not answer when they could have been restored
+    _cut_off: set[FunctionalityRef] = field(default_factory=set)  # lowered, as a host cannot be reached
     _running: bool = False  # the system is up
     _restoring: asyncio.Task[None] | None = None
     _carrying: dict[FunctionalityRef, int] = field(default_factory=dict)  # what is being restored now
@@ -106,9 +108,16 @@ class Restorer(ReconciliationObserver):
         if latest is None or not latest.state.functionalities[ref.functionality].reflex:
             self._held[ref] = index
 
+    def cut_off(self, lowered: Collection[FunctionalityRef]) -> None:
+        """Restore these once every host is reached again: what they rely on may be there, behind others."""
+        self._cut_off.update(lowered)
+
     def reconciled(self) -> None:
         """A command has ended, or the model follows what has happened: forget what has been restored or removed."""
         modes, self._running = self.system.configuration.modes, True
+        if self._cut_off and not unreached(self.session.backend):
+            self._left_out |= self._cut_off
+            self._cut_off.clear()
         self._held = {ref: index for ref, index in self._held.items() if modes.get(ref, -1) >= index}
         self._left_out = {ref for ref in self._left_out if modes.get(ref)}
         now = self.clock.steady()

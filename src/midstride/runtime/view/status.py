@@ -125,6 +125,13 @@ def hosts(watched: WatchedSystem) -> list[HostStatus]:
             because=link.problem,
             version=link.version,
             instances=[each.name for each in instances if each.host == link.host],
+            fallbacks=[
+                words
+                for each in instances
+                if each.host == link.host and link.problem is not None
+                for words in [watched.leases.in_words(each.name)]
+                if words is not None
+            ],
             clock_ahead=None if link.clock is None else link.clock.ahead / 1e9,
             clock_uncertainty=None if link.clock is None else link.clock.uncertainty / 1e9,
         )

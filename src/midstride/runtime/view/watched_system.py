@@ -8,6 +8,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
 from midstride.runtime.change.change_session import ChangeSession
+from midstride.runtime.restore.fallback_leases import FallbackLeases
 from midstride.runtime.restore.respawner import Respawner
 from midstride.runtime.restore.restoring import Restorer
 
@@ -42,6 +43,7 @@ class WatchedSystem:
     session: ChangeSession
     respawner: Respawner
     restorer: Restorer
+    leases: FallbackLeases
     spares: int
     _baseline: Baseline | None = field(default=None, init=False)
 

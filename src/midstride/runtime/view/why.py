@@ -133,7 +133,8 @@ class Explainer:
         if state is None and self.watched.monitor.is_unreachable(ref.instance, configuration):
             host = configuration.instances[ref.instance].host
             because = next(each.problem for each in self.watched.backend.host_links() if each.host == host)
-            return [f"host {host} cannot be reached: {because}; the manager connects again by itself"]
+            then = self.watched.leases.in_words(ref.instance) or "the manager connects again by itself"
+            return [f"host {host} cannot be reached: {because}; {then}"]
         instance, functionality = configuration.instances[ref.instance], configuration.functionality(ref)
         ports = {*functionality.inputs, *functionality.outputs}
         silent = [
