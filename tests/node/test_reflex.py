@@ -308,7 +308,7 @@ def test_what_has_never_been_received_is_not_lost(tmp_path: Path) -> None:
     pair(tmp_path, lambda pair: pair.never_falls(60.0), count="0")
 
 
-@pytest.mark.parametrize("seconds", [0.5, 3.0, 40.0])
+@pytest.mark.parametrize("seconds", [0.5, 3.0, pytest.param(40.0, marks=pytest.mark.full)])
 def test_a_process_that_was_stopped_does_not_blame_its_publishers(tmp_path: Path, seconds: float) -> None:
     async def body(pair: Pair) -> None:
         await pair.bench.sleep(1.0)

@@ -95,7 +95,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "request_"), CASES, ids=lambda value: getattr(value, "strategy", value))
-@pytest.mark.parametrize(("how", "times"), [("lost_request", 1), ("lost_reply", 1)])
+@pytest.mark.parametrize(("how", "times"), [("lost_request", 1), pytest.param("lost_reply", 1, marks=pytest.mark.full)])
 def test_one_lost_message_is_made_good(name: str, request_: PlanRequest, how: str, times: int, tmp_path: Path) -> None:
     whole = Failing()
     change(whole, name, request_, tmp_path / "whole")
@@ -193,6 +193,7 @@ class Cancelling(Failing):
         await super().before(instance, op)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("name", "request_"), CASES[:2], ids=lambda value: getattr(value, "strategy", value))
 def test_a_change_that_is_broken_off_at_any_call_is_taken_back_whole(
     name: str, request_: PlanRequest, tmp_path: Path

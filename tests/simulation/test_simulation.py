@@ -90,6 +90,7 @@ def test_no_invariant_is_violated_by_a_seed_that_once_did(seed: int) -> None:
     assert simulate(seed).problems == []
 
 
+@pytest.mark.full
 def test_services_and_actions_of_a_specification_are_simulated() -> None:
     """With stand-ins for programs that do not use the API; what serves outside of the system answers."""
     text = """
