@@ -59,9 +59,11 @@ class Heard:
         ]
         return self
 
-    def require_each_once(self) -> None:
-        numbers = sorted(each.number for each in self.rows)
-        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    def missed(self) -> list[int]:
+        """The numbers that it has not heard between the first and the last; none may be heard twice."""
+        numbers = {each.number for each in self.rows}
+        assert len(numbers) == len(self.rows)
+        return sorted(set(range(min(numbers), max(numbers) + 1)) - numbers)
 
     @property
     def overtaken(self) -> int:

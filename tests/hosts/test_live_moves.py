@@ -57,13 +57,19 @@ def moving(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Moving]:
 
 
 def require_whole(moving: Moving, moves: int) -> list[float]:
-    """Require that each recorder has heard each number once; the gaps at the moves, in periods."""
+    """Require that each recorder has heard each number once; the gaps at the moves, in periods.
+
+    Where frames are lost, a recorder may discover a new publisher after its first message, as any node without
+    Midstride's API. There it is required that each number was heard once by one of them.
+    """
     time.sleep(0.5)  # of what is on its way
-    gaps = []
+    gaps, missed = [], []
     for heard in moving.heard.values():
-        heard.read().require_each_once()
+        missed.append(set(heard.read().missed()))
         assert len(heard.gaps) == moves
         gaps += heard.gaps
+    assert not set.intersection(*missed)
+    assert moving.robot.hosts.slow is not None or not any(missed)
     return sorted(gaps)
 
 
@@ -93,7 +99,8 @@ def test_a_node_moves_there_and_back_again_and_again(moving: Moving) -> None:
     gaps = require_whole(moving, moves=MOVES)
     print(f"\n{MOVES} moves ({slow or 'a cable'}), load {os.getloadavg()}: gaps, in periods: {shown(gaps)}")
     for host, heard in moving.heard.items():
-        print(f"{host}: {len(heard.rows)} messages, {heard.overtaken} overtaken; silences: {shown(heard.silences)}")
+        print(f"{host}: {len(heard.rows)} messages, {heard.overtaken} overtaken, missed: {heard.missed()}")
+        print(f"silences, in periods: {shown(heard.silences)}")
     print(f"a move, s: {shown(sorted(took))}; {moving.robot.hosts.stop_slow_link() if slow else ''}")
 
 
@@ -165,7 +172,7 @@ def test_a_fault_at_each_moment_of_a_move_leaves_one_writer_and_a_valid_system(m
             over = time.monotonic()
             said, errors = command.communicate(timeout=120)
         outcome = json.loads(said)["outcome"] if said else errors.strip()
-        if not said:  # the manager was killed, and the next one has decided
+        if fault == "manager":  # the next one has decided, which the command does not know
             home = robot.instance("counter")["host"]
         elif outcome == "done":
             home = "arm" if home is None else None
