@@ -23,6 +23,7 @@
         ├── ManagerBusy         another command is running
         ├── Superseded          another manager of the system has taken over
         ├── OtherVersion        the manager is of another version of Midstride, and has not what is asked for
+        ├── OutcomeUnknown      nobody says whether what was asked for has been done
         ├── ChangeForbidden     no change may happen now, as while the system is locked
         └── NoManager           no manager of that system is running
 
@@ -153,6 +154,10 @@ class OtherVersion(ManagerError):
 
 class Superseded(ManagerError):
     """Another manager of the system has taken over: this one must not change anything any more."""
+
+
+class OutcomeUnknown(ManagerError):
+    """The manager ended before it answered a command, which it may have begun, or carried out."""
 
 
 class ChangeForbidden(ManagerError):

@@ -7,7 +7,7 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import msgspec
 import pytest
 
 from midstride.cli.client import Client
+from midstride.cli.error_output import report
 from midstride.errors import ManagerError, NoManager
 from midstride.runtime.records.status_forms import Status
 from midstride.runtime.workspace import Workspace
@@ -84,6 +85,23 @@ def test_a_manager_that_accepts_no_connection_does_not_answer_in_time(tmp_path: 
     path = tmp_path / "manager.sock"
     with full_socket(path), pytest.raises(ManagerError, match=r"^the manager did not answer within 0\.2 s$"):
         Client(path).text("/view", timeout=0.2)
+
+
+@pytest.mark.parametrize(
+    ("ask", "words", "outcome"),
+    [
+        (lambda client: client.plan({}), "exited before it answered (.*); see", "refused"),
+        (lambda client: client.change({"request": {}}), "what was asked for may have begun, or be done", "unknown"),
+    ],
+    ids=["plan", "change"],
+)
+def test_whether_a_manager_that_exits_has_begun_a_change_is_not_known(
+    ask: Callable[[Client], object], words: str, outcome: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with answering(b"{") as client, pytest.raises(ManagerError, match=words) as raised:
+        ask(client)
+    assert report(raised.value, ["restart", "talker", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["outcome"] == outcome
 
 
 def test_a_manager_that_is_busy_for_a_moment_is_connected(tmp_path: Path) -> None:

@@ -289,12 +289,16 @@ class Client:
         except msgspec.ValidationError as error:
             raise _of_another_version(error) from None
         except msgspec.DecodeError as error:
-            raise self._unanswered(error) from None
+            raise self._unanswered(error, method, path) from None
 
-    def _unanswered(self, error: Exception) -> errors.ManagerError:
+    def _unanswered(self, error: Exception, method: str, path: str) -> errors.ManagerError:
         reason = str(error) or type(error).__name__
         log = self._socket.parent / "logs" / "manager.log"
-        return errors.ManagerError(f"the manager exited before it answered ({reason}); see {log}")
+        words = f"the manager exited before it answered ({reason})"
+        if method == "GET" or path == "/plan":
+            return errors.ManagerError(f"{words}; see {log}")
+        then = "what was asked for may have begun, or be done: `midstride up FILE` finishes it or takes it back"
+        return errors.OutcomeUnknown(f"{words}, and {then}; see {log}")
 
     def _answer(self, request: _Request) -> bytes:
         connection = _UnixConnection(self._socket, request.timeout)
@@ -303,7 +307,7 @@ class Client:
         except TimeoutError:
             raise errors.ManagerError(f"the manager did not answer within {request.timeout:g} s") from None
         except (OSError, http.client.HTTPException) as error:
-            raise self._unanswered(error) from None
+            raise self._unanswered(error, request.method, request.path) from None
         finally:
             connection.close()
 

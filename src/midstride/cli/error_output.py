@@ -64,7 +64,8 @@ def _report(text: str, kind: str, message: str, words: Sequence[str]) -> None:
         command = _command(words)
         document: dict[str, object] = {"error": {"kind": kind, "message": message}}
         if command and command[0] in _CHANGES and kind != "UsageError":
-            document = {"outcome": "refused", "because": message, **document}
+            outcome = "unknown" if kind == "OutcomeUnknown" else "refused"
+            document = {"outcome": outcome, "because": message, **document}
         print_json(document)
 
 
