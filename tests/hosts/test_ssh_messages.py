@@ -29,10 +29,10 @@ Host key verification failed.
 MESSAGES = [
     (255, "ssh: Could not resolve hostname arm: Name or service not known\n", "its name is not known"),
     (255, "ssh: connect to host 10.0.0.2 port 22: Connection refused\n", "refuses connections of SSH"),
-    (255, "ssh: connect to host 10.0.0.2 port 22: Connection timed out\n", "cannot be reached over the network"),
-    (255, "ssh: connect to host 10.0.0.2 port 22: No route to host\n", "cannot be reached over the network"),
-    (255, "ssh: connect to host 10.0.0.2 port 22: Network is unreachable\n", "cannot be reached over the network"),
-    (255, "Timeout, server 10.0.0.2 not responding.\n", "cannot be reached over the network"),
+    (255, "ssh: connect to host 10.0.0.2 port 22: Connection timed out\n", "it does not answer over the network"),
+    (255, "ssh: connect to host 10.0.0.2 port 22: No route to host\n", "it does not answer over the network"),
+    (255, "ssh: connect to host 10.0.0.2 port 22: Network is unreachable\n", "it does not answer over the network"),
+    (255, "Timeout, server 10.0.0.2 not responding.\n", "it does not answer over the network"),
     (255, CHANGED, "not the one that is known"),
     (
         255,

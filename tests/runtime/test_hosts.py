@@ -140,7 +140,7 @@ def test_the_nodes_of_a_host_that_cannot_be_reached_are_unreachable_and_not_cras
         outcome = await manager.change(PlanRequest(restart=("talker",)))
         assert outcome.outcome == "refused"
         assert outcome.because == (
-            "talker_2 cannot be changed now: host arm cannot be reached: is it switched on?; if it is switched off or "
+            "talker cannot be changed now: host arm cannot be reached: is it switched on?; if it is switched off or "
             "destroyed, `midstride dead arm` says so"
         )
         assert (await manager.change(PlanRequest(restart=("listener",)))).outcome == "done"

@@ -83,7 +83,7 @@ def test_an_input_that_receives_none_of_what_is_published_is_a_fault_until_it_do
         assert r.b.words("silence") == ["listener.in receives nothing of what is published on /chatter"]
         await r.half_seconds(3)
         assert r.kinds() == []
-        assert r.b.words("note") == ["listener.in receives messages on /chatter again"]
+        assert r.b.words("silence_ended") == ["listener.in receives messages on /chatter again"]
 
     reporting(tmp_path, body)
 
@@ -110,7 +110,7 @@ def test_an_output_that_publishes_nothing_although_its_mode_guarantees_a_rate_is
         assert fault.words == "talker.out publishes nothing on /chatter, although mode normal guarantees 10 Hz"
         await r.half_seconds(2, talker=0, listener=0)
         await r.half_seconds(3)
-        assert r.b.words("note") == ["talker.out publishes on /chatter again"]
+        assert r.b.words("silence_ended") == ["talker.out publishes on /chatter again"]
 
     assert PORT_SILENCE > SILENT_PERIODS / 10
     reporting(tmp_path, body)
@@ -132,7 +132,7 @@ def test_a_server_that_breaks_its_bound_is_a_fault_until_it_does_not(tmp_path: P
         assert r.b.words("silence") == [words]
         r.responses = structs.replace(r.responses, silent=0.0, broken=None)
         await r.half_seconds(3)
-        assert r.b.words("note") == ["talker.out answers requests on /chatter in time again"]
+        assert r.b.words("silence_ended") == ["talker.out answers requests on /chatter in time again"]
 
     reporting(tmp_path, body)
 
@@ -150,7 +150,7 @@ def test_an_output_of_which_nothing_is_expected_any_more_is_not_said_to_publish_
         else:
             r.b.configuration = r.b.configuration.without_attachment(PortRef("talker", "out"), "/chatter")
         await r.half_seconds(4, talker=0, listener=0)
-        assert r.kinds() == [] and r.b.words("note") == []
+        assert r.kinds() == [] and r.b.words("silence_ended") == []
 
     reporting(tmp_path, body)
 
@@ -246,7 +246,7 @@ def test_a_component_that_does_not_answer_is_a_fault(tmp_path: Path) -> None:
         assert not status.valid
         await asyncio.sleep(3)
         assert (await manager.status()).valid
-        words = [event.words for event in manager.log() if event.kind in ("silence", "note")]
+        words = [event.words for event in manager.log() if event.kind in ("silence", "silence_ended")]
         assert words == ["listener does not answer", "listener answers again"]
 
     managed("talker", tmp_path, body)

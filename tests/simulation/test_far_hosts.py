@@ -49,7 +49,7 @@ def cut(system: System, host: str, seconds: float) -> None:
 
 
 def notes(manager: Manager) -> list[str]:
-    return [event.words for event in manager.log() if event.kind in ("note", "exited")]
+    return [event.words for event in manager.log() if event.kind in ("note", "host", "exited")]
 
 
 def test_a_host_that_cannot_be_reached_is_no_crash_and_its_nodes_are_as_they_were_once_it_is_back() -> None:

@@ -41,6 +41,8 @@ _STYLES: Final = {
     "up_failed": "red",
     "exited": "red",
     "silence": "red",
+    "silence_ended": "yellow",
+    "host": "yellow",
     "fenced": "red",
     "killed": "red",
     "degraded": "yellow",

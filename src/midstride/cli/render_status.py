@@ -129,9 +129,11 @@ def _hosts(status: Status) -> Iterable[Text]:
                 )
             yield Text(f"{where}: connected since {time_of(host.since)}; {nodes}{clock}", style="dim")
             continue
-        started = "; ".join((*host.fallbacks, "nothing else")) if host.fallbacks else "nothing"
-        words = f"nothing is known of {nodes}, and {started} is started elsewhere: {host.because}"
-        yield Text(f"{where}: unreachable since {time_of(host.since)}; {words}", style="red")
+        words = ""
+        if host.instances:
+            started = "; ".join((*host.fallbacks, "nothing else")) if host.fallbacks else "nothing"
+            words = f"nothing is known of {nodes}, and {started} is started elsewhere: "
+        yield Text(f"{where}: unreachable since {time_of(host.since)}; {words}{host.because}", style="red")
 
 
 def _topics(status: Status) -> Iterable[Text]:

@@ -110,11 +110,11 @@ class ChangeSession:
         self._unreached = dict(found)
         for host, because in found.items():
             if host not in known:
-                self.events.add("note", f"host {host} cannot be reached: {because}")
+                self.events.add("host", f"host {host} cannot be reached: {because}")
 
     def _on_host(self, words: str) -> None:
         """A host has been lost, or is reached again: what could not be done on it may be possible now."""
-        self.events.add("note", words)
+        self.events.add("host", words)
         self.reconciler.reconcile_soon()
 
     async def change(

@@ -100,7 +100,7 @@ _MESSAGES: Final = (
     ),
     (
         r"No route to host|Network is unreachable|Connection timed out|timed out|not responding",
-        "it cannot be reached over the network: is it switched on, and does `ping` reach it?",
+        "it does not answer over the network: is it switched on, and does `ping` reach it?",
     ),
     (
         r"Bad owner or permissions on|Bad configuration option|terminating, \d+ bad configuration",

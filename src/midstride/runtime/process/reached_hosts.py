@@ -60,7 +60,7 @@ def require_reached(
     for action in actions:
         for name in action.instances():
             if name in instances and (host := instances[name].host) in lost:
-                raise PlanRefused(
-                    f"{name} cannot be changed now: host {host} cannot be reached: {lost[host]}; if it is switched off "
+                raise PlanRefused(  # by its role: the plan may begin with an instance that does not run yet
+                    f"{instances[name].role} cannot be changed now: host {host} cannot be reached: {lost[host]}; if it is switched off "
                     f"or destroyed, `midstride dead {host}` says so"
                 )

@@ -36,7 +36,7 @@ T = TypeVar("T")
 # The kinds of events that are incidents.
 INCIDENTS: Final = frozenset(
     """up down lock unlock forbidden override finished_despite exited killed left_out half_done silence
-    fenced degraded restore restore_ended respawn respawn_ended parameters rollback_failed""".split()
+    silence_ended host fenced degraded restore restore_ended respawn respawn_ended parameters rollback_failed""".split()
 )
 # How many statements are kept in memory while the disk refuses them.
 BACKLOG: Final = 2_000

@@ -137,7 +137,7 @@ class SilenceMonitor:
         for words in sorted(self._known.keys() - found.keys()):
             fault = self._known[words]
             if fault.instance in configuration.instances and self._is_over(fault, found.values()):
-                self.events.add("note", _ENDED[fault.kind].format(fault))
+                self.events.add("silence_ended", _ENDED[fault.kind].format(fault))
         self._known, self._judged = found, self.clock.steady()
 
     def _is_over(self, fault: SilenceFault, now: Iterable[SilenceFault]) -> bool:

@@ -10,7 +10,7 @@ import { clock, h, replace } from "./dom.js";
 
 const SHOWN = 200;
 const BAD = new Set("exited up_failed step_failed rollback_failed fenced killed respawn_ended restore_ended not_answering forbidden override finished_despite".split(" "));
-const WARN = new Set("degraded rollback rolled_back respawn restore note lock unlock".split(" "));
+const WARN = new Set("degraded rollback rolled_back respawn restore note silence_ended host lock unlock".split(" "));
 
 /**
  * @param {Event} event

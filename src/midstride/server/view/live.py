@@ -136,7 +136,7 @@ class LiveView:
 
     def _on_event(self, event: Event) -> None:
         self._changes.on_event(event)
-        if event.kind in {"silence", "note"}:  # one has begun, or ended
+        if event.kind in {"silence", "silence_ended", "note"}:
             self._silences = None
         self._soon()
         if self._wakers:  # the event is sent even if the view has just been built
