@@ -138,6 +138,8 @@ def test_the_condition_of_a_system_is_about_its_nodes() -> None:
     assert (up.state, up.headline, EXIT_STATUS[up.state]) == ("up", "up, all 2 nodes run", 0)
     hung = conditions.system_condition(2, 2, ["talker does not answer"], answering=1)
     assert hung.headline == "degraded, all 2 nodes run, 1 of them without an answer: talker does not answer"
+    lost = conditions.system_condition(2, 0, ["host arm cannot be reached"], answering=0, unreachable=1)
+    assert lost.headline.startswith("degraded, 0 of 2 nodes run, and whether 1 more does is not known: host arm")
     dead = conditions.system_condition(2, 1, ["talker exited unexpectedly"])
     assert dead.headline == "degraded, 1 of 2 nodes run: talker exited unexpectedly"
     assert EXIT_STATUS[dead.state] == 3

@@ -282,6 +282,65 @@ def test_a_host_that_cannot_be_reached_says_why_in_all_that_is_asked_of_it(tmp_p
     run(body())
 
 
+def test_a_host_is_tried_again_at_once_and_not_for_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host_link, "FIRST_PAUSE", 1000.0)
+    monkeypatch.setattr(host_link, "LONGEST_PAUSE", 1000.0)
+
+    async def body() -> None:
+        far = Far(tmp_path)
+        far.near.down = "its name is not known"
+        await far.run()
+        async with system(tmp_path, far) as (backend, _, notes):
+            far.near.down = "permission denied"
+            await backend.try_again(["leg"])
+            assert backend.problems() == {"arm": "its name is not known"}
+            await asyncio.gather(backend.try_again(["arm"]), backend.try_again(["arm"]))
+            assert backend.problems() == {"arm": "permission denied"}
+            open_one, asked = Near.open, asyncio.Event()
+
+            async def hang(*_: Any) -> HostReport:
+                asked.set()
+                await asyncio.Event().wait()
+                raise AssertionError
+
+            with monkeypatch.context() as patch:
+                patch.setattr(host_link, "AGAIN_SECONDS", 0.05)
+                patch.setattr(Near, "open", hang)
+                await backend.try_again(["arm"])
+                assert asked.is_set() and backend.problems() == {"arm": "permission denied"}
+            assert Near.open is open_one
+        far.near.down = None
+        await far.run()
+        async with system(tmp_path, far) as (backend, _, notes):
+            far.near.down = "it is cut"
+            _cut(backend)
+            await until(backend.problems)
+            far.near.down = None
+            await backend.try_again(["arm"])  # also while the connection before is being closed
+            assert not backend.problems() and "is reached again" in notes[-1]
+            await backend.try_again(["arm"])
+            assert (await backend.start(launch("x"))).host == "arm"
+
+    run(body())
+
+
+def test_a_file_that_a_program_names_is_looked_for_on_the_host(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        link = HostLink(ARM, ORDER, tmp_path, lambda: "", lambda _: None, reads=True, connect=far.near)
+        await link.open()
+        described = calls.Describe(launch=calls.LaunchForm.of(launch("x")))
+        with pytest.raises(StartFailed, match=rf"there is no file {tmp_path}/x.py for `python3 x.py`: copy it"):
+            await link.call(described, list[str])
+        (tmp_path / "x.py").touch()
+        assert await link.call(described, list[str]) == ["python3", "x.py"]
+        await link.close()
+        await far.kill()
+
+    run(body())
+
+
 def test_exits_while_the_link_was_down_come_once_it_is_back(tmp_path: Path) -> None:
     async def body() -> None:
         far = Far(tmp_path)
@@ -299,7 +358,7 @@ def test_exits_while_the_link_was_down_come_once_it_is_back(tmp_path: Path) -> N
                 await backend.end("c", DEFAULT_STOP)
             far.platform.exit(Exited("b", 2))
             far.near.down = None
-            await until(lambda: len(exits) == 2)
+            await until(lambda: len(exits) == 2 and not backend.problems())
             assert [each.instance for each in exits] == ["a", "b"]
             assert "is reached again" in notes[-1]
             await backend.end("c", DEFAULT_STOP)
@@ -475,7 +534,7 @@ def test_another_host_process_finds_the_components_that_run_and_names_those_that
             _cut(backend)
             far.platform.running.discard("b")
             await far.run()
-            await until(lambda: exits)
+            await until(lambda: exits and not backend.problems())
             (gone,) = exits
             assert gone.instance == "b" and "while `midstride host` did not run on arm" in gone.words
             await backend.end("a", DEFAULT_STOP)
@@ -521,6 +580,11 @@ def test_down_without_a_manager_ends_what_that_was_starting_there(
         )
         monkeypatch.setattr(shutdown, "end_orphans", nothing)  # of this host
         monkeypatch.setattr(shutdown, "stop_times", lambda component: DEFAULT_STOP)
+        far.near.down = "it is cut"
+        lost = HostsBackend(Platform(tmp_path / "home"), Workspace(tmp_path / "home"), connect=far.near)
+        _, failures = await shutdown._stop(lost, saved)
+        assert len(failures) == 1 and failures[0].endswith("once host arm is reached again, run `midstride down` again")
+        far.near.down = None
         _, failures = await shutdown._stop(backend, saved)
         assert failures == [] and far.platform.running == set()
         await far.kill()

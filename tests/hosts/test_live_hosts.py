@@ -146,8 +146,19 @@ def test_while_the_link_is_cut_each_side_degrades_what_relies_on_the_other_and_t
 @pytest.mark.timeout(300)
 def test_what_prevents_a_start_is_said_by_check_and_by_up(robot: Robot) -> None:
     assert robot("check", "--hosts", robot.file).status == 0
-    program = robot.folder / "far" / "talker.py"
+    far = robot.folder / "far"
+    assert not (far / ".midstride").exists()
+    right, robot.text = robot.text, robot.text.replace(str(far), f"{far}r")
+    for words in (("check", "--hosts", robot.file), ("up", robot.file, "-d")):
+        done = robot(*words)
+        assert done.status != 0 and f"the folder {far}r is not there" in done.out + done.err, done
+        assert not Path(f"{far}r").exists()
+    assert robot("down").status == 0
+    robot.text = right
+    program = far / "talker.py"
     program.rename(program.with_suffix(".away"))
+    done = robot("check", "--hosts", robot.file)
+    assert done.status != 0 and f"there is no file {program} for `python3 talker.py`" in done.out, done
     robot.text = robot.text.replace('"python3 talker.py"', '"./talker.py"')
     for words in (("check", "--hosts", robot.file), ("up", robot.file, "-d")):
         done = robot(*words)

@@ -95,6 +95,7 @@ def test_a_check_beside_a_running_system_leaves_its_host_process_alone(
     monkeypatch.setattr(host_start, "_end", ended.append)
     monkeypatch.setattr(host_start, "start", lambda order, workspace: None)
     order = HostOrder(protocol=frames.HOST_PROTOCOL, system="home", host="arm", folder=str(folder))
+    workspace_of(order)
     for running in (0, 2):
         greeting = frames.HostGreeting(
             protocol=frames.HOST_PROTOCOL,

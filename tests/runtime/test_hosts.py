@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Collection
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -51,9 +52,18 @@ class Hosts(OneHost):
         super().__init__()
         self.lost: set[str] = set()
         self.unknown = False  # whether a process has ended
+        self.tried: list[list[str]] = []  # what was tried again
+        self.found: set[str] = set()  # the hosts that the next attempt reaches
+
+    async def start(self, launch: Launch) -> Handle:
+        return changed(await super().start(launch), host=launch.host)
+
+    async def try_again(self, hosts: Collection[str]) -> None:
+        self.tried.append(sorted(hosts))
+        self.lost -= self.found
 
     async def end(self, instance: str, stop: StopTimes) -> list[RemainingProcess]:
-        if self.unknown:
+        if self.unknown or (instance == "talker" and "arm" in self.lost):
             raise EndUnknown(f"whether {instance} runs is not known")
         return await super().end(instance, stop)
 
@@ -134,6 +144,7 @@ def test_the_nodes_of_a_host_that_cannot_be_reached_are_unreachable_and_not_cras
         assert talker.deviation == "its host arm cannot be reached"
         assert found.crashed == [] and {each.kind for each in found.silences} == {"unreachable"}
         assert found.condition.faults == ["host arm cannot be reached, so nothing is known of talker"]
+        assert "1 of 2 nodes run, and whether 1 more does is not known: host arm" in found.condition.headline
         assert (await manager.why("talker.talk")).remedies == [
             "host arm cannot be reached: is it switched on?; the manager connects again by itself"
         ]
@@ -143,8 +154,47 @@ def test_the_nodes_of_a_host_that_cannot_be_reached_are_unreachable_and_not_cras
             "talker cannot be changed now: host arm cannot be reached: is it switched on?; if it is switched off or "
             "destroyed, `midstride dead arm` says so"
         )
+        assert platform.tried == [["arm"]]
         assert (await manager.change(PlanRequest(restart=("listener",)))).outcome == "done"
+        assert platform.tried == [["arm"]], "it needs no other host"
         assert {each.instance for each in platform.launches} == {"talker", "listener", "listener_2"}
+
+    managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
+
+
+def test_a_command_tries_once_more_to_reach_the_host_that_it_needs(tmp_path: Path) -> None:
+    platform = Hosts()
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        platform.lost = {"arm"}
+        platform.found = {"arm"}
+        assert (await manager.change(PlanRequest(restart=("talker",)))).outcome == "done"
+        assert platform.tried == [["arm"]]
+
+    managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
+
+
+def test_down_while_a_host_cannot_be_reached_says_what_to_do_and_what_still_runs(tmp_path: Path) -> None:
+    platform = Hosts()
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        platform.lost = {"arm"}
+        simulator.faults.freeze("talker", 60.0)
+        await simulator.clock.sleep(5.0)
+        with pytest.raises(ManagerError) as refused:
+            await manager.down()
+        assert str(refused.value) == (
+            "talker: whether talker runs is not known; once host arm is reached again, run `midstride down` again; if "
+            "it is switched off or destroyed, run `midstride dead arm` before that"
+        )
+        assert platform.tried == [["arm"]]
+        found = (await manager.status()).condition
+        assert found.headline.startswith("degraded, 0 of 2 nodes run, and whether 1 more does is not known: ")
+        assert found.faults == ["listener does not run", "host arm cannot be reached, so nothing is known of talker"]
+        assert [each.instance.name for each in saved(Workspace(tmp_path)).instances] == ["talker"]
+        assert (await manager.declare_dead("arm", "ann")).instances == ["talker"]
+        await manager.down()
+        assert any("talker was on host arm, which is dead" in each.words for each in manager.events.since())
 
     managed("talker", tmp_path, body, platform, on_hosts(talker="arm"))
 

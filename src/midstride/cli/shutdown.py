@@ -12,7 +12,15 @@ from midstride.cli.client import Client
 from midstride.cli.follow import Sending, Sent, explained_when_interrupted
 from midstride.cli.platforms import make_backend
 from midstride.cli.running_systems import find
-from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager, OtherVersion
+from midstride.errors import (
+    BackendError,
+    EndUnknown,
+    ManagerBusy,
+    ManagerError,
+    MidstrideError,
+    NoManager,
+    OtherVersion,
+)
 from midstride.model.component import DEFAULT_STOP
 from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.process.child_process import end_orphans
@@ -131,6 +139,9 @@ async def _stop(backend: Backend, saved: SavedState) -> tuple[list[KilledProcess
                 for process in await backend.end(name, stop_times(component)) if runs else ():
                     words = killed_in_words(name, handle.pid, process)
                     killed.append(KilledProcess(instance=name, seconds=process.seconds, words=words))
+            except EndUnknown as error:
+                again = f"once host {handle.host} is reached again, run `midstride down` again"
+                failures.append(f"{name}: {error}; {again}" if handle.host else f"{name}: {error}")
             except MidstrideError as error:
                 failures.append(f"{name}: {error}")
         known = {handle.instance for handle, _ in handles}

@@ -7,23 +7,17 @@ the executable of a package: what is on the search path is known on the robot al
 from __future__ import annotations
 
 import os
-import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
 
 from midstride.ament_index import component_library, executable
 from midstride.errors import StartFailed
+from midstride.model.command_files import command_files
 from midstride.model.component import ContainerProgram
 from midstride.model.diagnostics import Problem, SubjectPath
 from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Specification
-
-_PYTHON: Final = re.compile(r"python[\d.]*\Z")
-# Options of Python after which no file follows, and those that have a value.
-_NO_FILE: Final = ("-c", "-m")
-_WITH_VALUE: Final = ("-W", "-X")
 
 
 def missing_programs(specification: Specification, folder: Path) -> Iterator[Problem]:
@@ -57,7 +51,7 @@ def missing_programs(specification: Specification, folder: Path) -> Iterator[Pro
             if component.container is not None and name in alone:
                 yield from _container(component.container, ("components", name, "container"), f"component {name}")
             continue
-        for file in _files(shlex.split(component.run)):
+        for file in command_files(shlex.split(component.run)):
             if not (folder / file).exists():
                 message = f"component {name} runs `{component.run}`, but there is no file {folder / file}"
                 yield Problem("W161", ("components", name, "run"), message, _help(folder / file))
@@ -69,22 +63,6 @@ def _container(program: ContainerProgram, path: SubjectPath, what: str) -> Itera
     except StartFailed as error:
         verb = "is loaded by" if path[0] == "components" else "runs"
         yield Problem("W161", (*path, "run"), f"{what} {verb} `{program.run}`, but {error}")
-
-
-def _files(words: Sequence[str]) -> Iterator[str]:
-    """The files among the words of a command: a program with a path, a script of Python's."""
-    if words and "/" in words[0]:
-        yield words[0]
-    if words and _PYTHON.match(words[0].rpartition("/")[2]):
-        options = iter(words[1:])
-        for word in options:
-            if word in _WITH_VALUE:
-                next(options, None)
-            elif not word.startswith("-"):
-                yield word
-                return
-            elif word.startswith(_NO_FILE):
-                return
 
 
 def _help(missing: Path) -> str:

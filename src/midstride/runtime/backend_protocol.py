@@ -286,6 +286,9 @@ class Backend(Protocol):
         """The link to each host that :meth:`reach_hosts` was called with, by name."""
         return ()
 
+    async def try_again(self, hosts: Collection[str]) -> None:
+        """Connect at once to those of ``hosts`` that cannot be reached; returns once each was tried, or in a while."""
+
     async def clock_offset(self, host: str) -> ClockOffset:
         """By how much the system clock of a host is ahead of the one here, as measured now. Raises BackendError."""
         return SAME_CLOCK

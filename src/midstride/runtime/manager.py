@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import AsyncIterator, Collection, Mapping
+from collections.abc import AsyncIterator, Collection, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -107,6 +107,7 @@ class Manager:
         self._client = client = ComponentClient(
             backend.transport, clock, secrets.token_hex(16), lambda: journal.superseded or store.superseded
         )
+        self._dead: set[str] = set()  # the hosts that were declared dead
         nothing = Configuration(context=specification.context)
         self.system = system = RunningSystem(specification, nothing, client.life, named)
         self._launcher = launcher = Launcher(backend, client, directory, options)
@@ -261,7 +262,8 @@ class Manager:
             names = sorted({*self.system.life.handles, *running})
             ended = await asyncio.gather(*(self._end(name) for name in names))
             if faults := [fault for fault in ended if fault is not None]:
-                raise ManagerError("; ".join(faults))
+                self._forget(name for name, fault in zip(names, ended, strict=True) if fault is None)
+                raise ManagerError("; ".join([*faults, *self._remedies()]))
             self.system.configuration = Configuration(context=self.specification.context)
             self._store.delete()
             lock = self._session.permission.current_lock
@@ -269,7 +271,28 @@ class Manager:
             self.events.add("down", f"{self.specification.name} is down{although}")
             return DownReport(killed=killed_processes(self.events.since(before)))
 
+    def _forget(self, ended: Iterable[str]) -> None:
+        """Take what has ended out of the model, although not all has: no status says that it runs."""
+        configuration = self.configuration
+        for name in ended:
+            self._store.remove_instance(name)
+            if name in configuration.instances:
+                configuration = configuration.without_instance(name)
+        self.system.moved(configuration)
+
+    def _remedies(self) -> Iterator[str]:
+        """Yield what to do about each host whose instances could not be ended, as it cannot be reached."""
+        left = {handle.host for handle in self.system.life.handles.values()}
+        for host in sorted(left & unreached(self._backend).keys()):
+            yield (
+                f"once host {host} is reached again, run `midstride down` again; if it is switched off or destroyed, "
+                f"run `midstride dead {host}` before that"
+            )
+
     async def _end(self, name: str) -> str | None:
+        handle = self.system.life[name].handle
+        if handle is not None and handle.host:
+            await self._backend.try_again([handle.host])
         if not self.system.life[name].is_owned:
             try:
                 await self._launcher.release(name)
@@ -281,6 +304,10 @@ class Manager:
         try:
             await self._launcher.end(name, whole=True)
         except MidstrideError as error:
+            silent = self.system.life[name].silent
+            if silent and handle is not None and handle.host in self._dead & unreached(self._backend).keys():
+                self.events.add("note", f"{name} was on host {handle.host}, which is dead, and is left")
+                return None
             return f"{name}: {error}"
         self.events.add("ended", f"{name} has exited")
         return None
@@ -446,6 +473,7 @@ class Manager:
                 raise ChangeForbidden(because)
             instances = self.configuration.instances.items()
             names = sorted(name for name, each in instances if each.host == host and not each.component.once)
+            self._dead.add(host)
             for name in names:
                 because = f"{name} is given up: {by} has declared host {host} dead"
                 self._reconciler.fell_silent(Exited(name, None, because=because, silent=True))

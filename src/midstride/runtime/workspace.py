@@ -19,7 +19,7 @@ from midstride.errors import ManagerBusy, ManagerError
 from midstride.wire.folders import COMPONENTS, workspace_folder, workspace_root
 
 # The free disk space that a manager needs to start (bytes): a small state and the first lines of logs.
-_ROOM: Final = 16_384
+ROOM: Final = 16_384
 _LONGEST_SOCKET: Final = 107  # bytes, on Linux
 
 
@@ -145,7 +145,7 @@ class Workspace:
         trial = self.path / "trial"
         try:
             with trial.open("wb") as file:
-                file.write(bytes(_ROOM))
+                file.write(bytes(ROOM))
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:

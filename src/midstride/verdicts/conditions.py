@@ -46,19 +46,23 @@ def system_condition(
     unknown: Sequence[str] = (),
     *,
     answering: int | None = None,
+    unreachable: int = 0,
     slow: Sequence[str] = (),
 ) -> SystemCondition:
     """Return what may be said of a system of so many ``nodes``, of which ``running`` have an instance that runs.
 
-    ``answering`` of them answer, if not all of them do. ``faults``: what is missing or worse than it should be.
+    ``answering`` of them answer, if not all of them do. ``unreachable``: how many others are on hosts that cannot be
+    reached, so that nothing is known of them. ``faults``: what is missing or worse than it should be.
     """
-    if nodes and not running:
+    if nodes and not running and not unreachable:
         return SystemCondition("down", f"down: none of its {counted(nodes, 'node')} runs", [*faults], [*unknown])
     run = f"{running} of {counted(nodes, 'node')} {'run' if nodes != 1 else 'runs'}"
     if running == nodes:
         run = f"all {nodes} nodes run" if nodes > 1 else "its node runs" if nodes else "it has no nodes"
     if answering is not None and answering < running:
         run += f", {running - answering} of them without an answer"
+    if unreachable:
+        run += f", and whether {unreachable} more {'do' if unreachable > 1 else 'does'} is not known"
     reasons = f": {some_of(faults)}" if faults else ""
     state: ConditionState = "degraded" if faults or running < nodes else "up"
     found = SystemCondition(state, f"{state}, {run}{reasons}", [*faults], [*unknown], [*slow])

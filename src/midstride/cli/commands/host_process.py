@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+from pathlib import Path
 from typing import Final
 
 import click
@@ -17,11 +18,12 @@ from midstride.runtime.hosts.host_start import (
     answer_line,
     directory_of,
     find_or_start,
+    remove_passing,
     running,
     socket_of,
-    workspace_of,
 )
 from midstride.runtime.process.descriptors import raise_limit
+from midstride.runtime.workspace import Workspace
 
 # The program that keeps a connection open until the manager's end of it is closed. It needs less memory than Python.
 _KEEP: Final = ("sh", "-c", "exec cat >/dev/null")
@@ -49,12 +51,13 @@ def _order() -> bytes:
 
 
 @click.command("_host", hidden=True)
-def serving_command() -> int:
-    """Serve this host until no manager and no component is left."""
+@click.argument("path", type=click.Path(path_type=Path))
+def serving_command(path: Path) -> int:
+    """Serve this host, with the workspace PATH, until no manager and no component is left."""
     order = HostOrder.read(_order())
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     raise_limit()
-    workspace = workspace_of(order)
+    workspace = Workspace(path)
 
     async def run() -> None:
         backend = backends.make(order.backend, workspace, middleware_settings=order.middleware_settings)
@@ -79,4 +82,6 @@ def serving_command() -> int:
     except (BackendError, ManagerError, ProtocolError) as error:
         print(f"midstride: {error}", file=sys.stderr)
         return 1
+    finally:
+        remove_passing(workspace)
     return 0

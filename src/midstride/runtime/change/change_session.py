@@ -42,7 +42,7 @@ from midstride.runtime.change.reconciler import Reconciler
 from midstride.runtime.change.running_change import RunningChange
 from midstride.runtime.change.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.handover.fences import DEFAULT_WAIT
-from midstride.runtime.process.reached_hosts import require_reached
+from midstride.runtime.process.reached_hosts import needed_hosts, require_reached, unreached
 from midstride.runtime.records.change_report import ChangeTimeline
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.records.journal_records import NewChange
@@ -136,15 +136,17 @@ class ChangeSession:
         what = by or f"`{request.describe()}`"
         if (because := self.permission.recorded_refusal(what, override, recovery=recovery)) is not None:
             return self._refuse(because)
-        if expected is not None and expected != self.system.revision:
-            because = "the configuration has changed since the plan was shown; look at the new plan"
-            refused = Outcome(outcome="refused", because=because)
-            self.system.counts.changed(refused)
-            return refused
+        if (outdated := self._outdated(expected)) is not None:
+            return outdated
         try:
             plan, target = await self.planner.plan(request)
             self.store.require()
             await self.reach_hosts(target)
+            if not recovery and await self._reached_again(plan):
+                await self.reconciler.reconcile_crashes()  # what has ended meanwhile is known now
+                if (outdated := self._outdated(expected)) is not None:
+                    return outdated
+                plan, target = await self.planner.plan(request)
             running = self.system.configuration
             left = self.launcher.left_on_hosts(running.instances)
             require_reached(self.backend, plan, running, left, self.system.life.silent)
@@ -172,6 +174,25 @@ class ChangeSession:
             return self._refuse(str(error), verdict)
         change.require = self.permission.requirement_check(plan, override, recovery=recovery)
         return await self.carry_out(change)
+
+    def _outdated(self, expected: int | None) -> Outcome | None:
+        """The outcome where the configuration is not the one of the plan that was shown any more."""
+        if expected in (None, self.system.revision):
+            return None
+        because = "the configuration has changed since the plan was shown; look at the new plan"
+        refused = Outcome(outcome="refused", because=because)
+        self.system.counts.changed(refused)
+        return refused
+
+    async def _reached_again(self, plan: Plan) -> bool:
+        """Try once more to reach the hosts that ``plan`` needs: the cause may have been removed a moment ago.
+
+        Returns whether one is reached now, so that more is known than when the plan was made.
+        """
+        lost = needed_hosts(plan, self.system.configuration).keys() & unreached(self.backend).keys()
+        if lost:
+            await self.backend.try_again(lost)
+        return not lost <= unreached(self.backend).keys()
 
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")

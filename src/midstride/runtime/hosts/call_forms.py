@@ -273,7 +273,7 @@ class Start(_Call, frozen=True, kw_only=True, tag="start"):
 
 
 class Describe(_Call, frozen=True, kw_only=True, tag="describe"):
-    """Fail as a start would, where a program is not there; the result is the command."""
+    """Fail as a start would, where a program or a file that it names is not there; the result is the command."""
 
     launch: LaunchForm
 

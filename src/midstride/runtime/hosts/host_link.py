@@ -42,6 +42,8 @@ T = TypeVar("T")
 FIRST_PAUSE: Final = 0.5
 LONGEST_PAUSE: Final = 10.0
 _DRAWN: Final = 0.3
+# For how long a command that needs a host which cannot be reached waits for one more attempt (s).
+AGAIN_SECONDS: Final = 5.0
 # How long a host process may take to greet, and to answer a call that does not wait for anything (s).
 GREET_SECONDS: Final = 5.0
 CALL_SECONDS: Final = 30.0
@@ -98,6 +100,8 @@ class HostLink:
         self._random = random.Random(f"{order.system} {host.name}")
         self._keeping: asyncio.Task[None] | None = None
         self._tried = asyncio.Event()  # the first attempt is over
+        self._hurry = asyncio.Event()  # the next attempt is to begin at once
+        self._attempt, self._next = asyncio.Event(), asyncio.Event()  # set once it is over, or the host is reached
         self._tasks: set[asyncio.Task[None]] = set()
 
     @property
@@ -121,6 +125,16 @@ class HostLink:
             self._keeping = asyncio.get_running_loop().create_task(self._keep())
         await self._tried.wait()
 
+    async def try_again(self) -> None:
+        """Begin an attempt at once where the host cannot be reached; return once it is over, or after a while."""
+        if self.connected or self._keeping is None:
+            return
+        over = self._next
+        self._hurry.set()
+        with contextlib.suppress(asyncio.TimeoutError):
+            async with within(AGAIN_SECONDS):
+                await over.wait()
+
     async def close(self) -> None:
         """Leave the host; its components keep running."""
         if self._keeping is not None:
@@ -133,6 +147,8 @@ class HostLink:
         pause, now = FIRST_PAUSE, asyncio.get_running_loop().time
         while not self._superseded():
             begun, why = now(), ""
+            self._attempt, self._next = self._next, asyncio.Event()
+            self._hurry.clear()
             try:
                 await self._serve_connection()
                 why = CLOSED
@@ -147,10 +163,14 @@ class HostLink:
             if why != before and self._tried.is_set():
                 self._on_change(f"host {self.host.name} cannot be reached: {why}")
             self._tried.set()
-            await asyncio.sleep(pause * (1 - _DRAWN * self._random.random()))
+            self._attempt.set()
+            with contextlib.suppress(asyncio.TimeoutError):
+                async with within(pause * (1 - _DRAWN * self._random.random())):
+                    await self._hurry.wait()
             pause = min(2 * pause, LONGEST_PAUSE)
         self._problem = "another manager of this system has taken over"
         self._tried.set()
+        self._next.set()
 
     async def _serve_connection(self) -> None:
         """Connect, and read until the connection ends. Raises BackendError."""
@@ -173,6 +193,9 @@ class HostLink:
                         if self._tried.is_set():
                             self._on_change(f"host {self.host.name} is reached again (before: {was})")
                         self._tried.set()
+                        self._attempt.set()
+                        self._next.set()  # as that attempt is not needed
+                        self._next = asyncio.Event()
                         await asyncio.wait((reading, ending), return_when=asyncio.FIRST_COMPLETED)
                     if ending.done():
                         raise Unreachable(ending.result())

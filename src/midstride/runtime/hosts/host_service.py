@@ -11,6 +11,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import shlex
 import socket
 import struct
 import time
@@ -23,7 +24,8 @@ import msgspec
 
 from midstride.codec.writing import to_json
 from midstride.errors import BackendError, CallTimeout, ProtocolError, StartFailed, Unreachable, internal_error
-from midstride.runtime.backend_protocol import Backend, Exited
+from midstride.model.command_files import command_files
+from midstride.runtime.backend_protocol import Backend, Exited, Launch
 from midstride.runtime.hosts import call_forms as calls
 from midstride.runtime.hosts import host_frames as frames
 from midstride.runtime.hosts.call_forms import ExitedForm, HandleForm, OtherNodesForm, RemainingForm, kind_of
@@ -238,7 +240,7 @@ class HostService:
             case calls.Start():
                 return await self._start(call)
             case calls.Describe():
-                return list(backend.describe(call.launch.launch(self._directory)).command)
+                return self._describe(call.launch.launch(self._directory))
             case calls.Adopt() if call.handle.instance in self._running:
                 return True
             case calls.Adopt():
@@ -269,6 +271,16 @@ class HostService:
                 return await asyncio.to_thread(self._read_log, call)
             case calls.ReadClock():
                 return time.time_ns()
+
+    def _describe(self, launch: Launch) -> list[str]:
+        command = list(self._backend.describe(launch).command)
+        for file in command_files(launch.arguments) if launch.package is None else ():
+            if not (path := self._directory / file).exists():
+                command_line = shlex.join(launch.arguments)
+                raise StartFailed(
+                    f"there is no file {path} for `{command_line}`: copy it to there, or correct `run` or `folder`"
+                )
+        return command
 
     async def _start(self, call: calls.Start) -> HandleForm:
         launch = call.launch.launch(self._directory)

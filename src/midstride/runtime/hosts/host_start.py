@@ -16,6 +16,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,9 +27,10 @@ import msgspec
 from midstride.errors import ManagerError, ProtocolError
 from midstride.runtime.hosts import host_frames as frames
 from midstride.runtime.hosts.host_order import HOST_MARK, LONGEST_SOCKET, HostOrder, HostReport
-from midstride.runtime.workspace import Workspace
+from midstride.runtime.workspace import ROOM, Workspace
 
 _FOLDER: Final = ".midstride"
+_PASSING: Final = "midstride-check-"
 # How long the host process may take to listen (s): it joins ROS first.
 START_SECONDS: Final = 30.0
 _POLL: Final = 0.02
@@ -38,19 +40,32 @@ _LOGIND: Final = ("/etc/systemd/logind.conf", "/run/systemd/logind.conf", "/usr/
 
 
 def directory_of(order: HostOrder) -> Path:
-    """The folder in which programs are started. Raises ManagerError where it is not there, and cannot be made."""
+    """The folder in which programs are started. Raises ManagerError where it is not there."""
     folder = Path(order.folder or "~").expanduser()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ManagerError(_not_writable(folder, error)) from None
+    if not folder.is_dir():
+        raise ManagerError(
+            f"the folder {folder} is not there: correct `folder`, or create it and copy the programs of this host to it"
+        )
     return folder
 
 
 def workspace_of(order: HostOrder) -> Workspace:
-    """The workspace of the host process, made where it is not there. Raises ManagerError."""
+    """The workspace of the host process, made where it is not there. Raises ManagerError.
+
+    Where there is none yet, an order that only reads gets one in the temporary folder, to be removed by
+    :func:`remove_passing`.
+    """
     folder = directory_of(order)
     path = folder / _FOLDER / f"{order.system}.{order.host}"  # a `.` is in no name of a system: no manager has it
+    _require_short(path)
+    if order.reads and not path.exists():
+        base = path.parent if path.parent.exists() else folder
+        try:
+            with tempfile.TemporaryFile(dir=base, buffering=0) as trial:
+                trial.write(bytes(ROOM))
+        except OSError as error:
+            raise ManagerError(_not_writable(folder, error)) from None
+        path = Path(tempfile.mkdtemp(prefix=_PASSING)) / path.name
     try:
         for each in (path.parent, path):
             each.mkdir(mode=0o700, exist_ok=True)
@@ -61,9 +76,18 @@ def workspace_of(order: HostOrder) -> Workspace:
         raise ManagerError(_not_writable(folder, error)) from None
     workspace = Workspace(path)
     workspace.require_room()
-    if len(os.fsencode(socket_of(workspace))) > LONGEST_SOCKET:
-        raise ManagerError(f"the path {socket_of(workspace)} is too long for a socket: state a shorter `folder`")
     return workspace
+
+
+def _require_short(path: Path) -> None:
+    if len(os.fsencode(socket := socket_of(Workspace(path)))) > LONGEST_SOCKET:
+        raise ManagerError(f"the path {socket} is too long for a socket: state a shorter `folder`")
+
+
+def remove_passing(workspace: Workspace) -> None:
+    """Remove a workspace that was made for an order that only reads."""
+    if workspace.path.parent.name.startswith(_PASSING):
+        shutil.rmtree(workspace.path.parent, ignore_errors=True)
 
 
 def _not_writable(folder: Path, error: OSError) -> str:
@@ -90,12 +114,16 @@ def find_or_start(order: HostOrder, version: str) -> HostReport:
             )
         workspace = workspace_of(order)
         if not _usable(running(workspace), order, version):
-            start(order, workspace)
+            try:
+                start(order, workspace)
+            except ManagerError:
+                remove_passing(workspace)
+                raise
         report = msgspec.structs.replace(
             report,
             socket=str(socket_of(workspace)),
             components=str(workspace.components),
-            free_bytes=shutil.disk_usage(workspace.path).free,
+            free_bytes=shutil.disk_usage(directory_of(order)).free,
             range=os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
         )
     except (ManagerError, ProtocolError) as error:
@@ -160,7 +188,7 @@ def start(order: HostOrder, workspace: Workspace) -> None:
     with log.open("ab") as output:
         output.truncate(0)
         process = subprocess.Popen(
-            [sys.executable, "-m", "midstride", "_host"],
+            [sys.executable, "-m", "midstride", "_host", str(workspace.path)],
             stdin=subprocess.PIPE,
             stdout=output,
             stderr=subprocess.STDOUT,

@@ -246,6 +246,9 @@ class HostsBackend(Backend):
     def _sockets(self) -> Path:
         return socket_folder(self._workspace)
 
+    async def try_again(self, hosts: Collection[str]) -> None:
+        await asyncio.gather(*(link.try_again() for name, link in self._links.items() if name in hosts))
+
     def problems(self) -> dict[str, str]:
         """By host that cannot be reached now: why, and what to do."""
         return {name: link.problem for name, link in sorted(self._links.items()) if link.problem is not None}

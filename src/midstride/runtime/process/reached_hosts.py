@@ -52,15 +52,22 @@ def require_reached(
                 f"on host {handle.host}; it is ended once that can be reached"
             )
     lost = unreached(backend)
-    if not lost:
-        return
+    for host, name in needed_hosts(plan, configuration).items():
+        if host in lost:
+            raise PlanRefused(
+                f"{name} cannot be changed now: host {host} cannot be reached: {lost[host]}; if it is switched off "
+                f"or destroyed, `midstride dead {host}` says so"
+            )
+
+
+def needed_hosts(plan: Plan, configuration: Configuration) -> dict[str, str]:
+    """The hosts of what the steps of ``plan`` change, each with the first instance."""
+    needed: dict[str, str] = {}
     actions = [step.action for step in plan.steps]
     created = {action.instance.name: action.instance for action in actions if isinstance(action, Create)}
     instances = {**configuration.instances, **created}
     for action in actions:
         for name in action.instances():
-            if name in instances and (host := instances[name].host) in lost:
-                raise PlanRefused(  # by its role: the plan may begin with an instance that does not run yet
-                    f"{instances[name].role} cannot be changed now: host {host} cannot be reached: {lost[host]}; if it is switched off "
-                    f"or destroyed, `midstride dead {host}` says so"
-                )
+            if name in instances and (host := instances[name].host):
+                needed.setdefault(host, instances[name].role)  # an instance may be one that does not run yet
+    return needed

@@ -42,15 +42,18 @@ def condition(
     faults += [words for role in sorted(best) if (words := watched.respawner.crash_loop(role)) is not None]
     faults += watched.backend.hanging()
     components = {role: specification.component_of(role) for role in specification.roles()}
+    present = [best[role][0] for role in components if role in best]
+    running = [each for each in present if not each.unreachable]
     return conditions.system_condition(
         len(components),
-        sum(role in best for role in components),
+        len(running),
         [*faults, *violations],
         [
             *unmeasured.unmeasured_in_words({role: each for role, each in components.items() if role in best}),
             *(words for role in sorted(best) for words in unmeasured_bounds(watched.system, best[role][0].name)),
         ],
-        answering=sum(best[role][0].reachable or best[role][0].done for role in components if role in best),
+        answering=sum(each.reachable or each.done for each in running),
+        unreachable=len(present) - len(running),
         slow=[words for role in sorted(best) for words in _below_rate(best[role][0], far=False)],
     )
 
