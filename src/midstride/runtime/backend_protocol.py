@@ -288,6 +288,7 @@ class Backend(Protocol):
 
     async def try_again(self, hosts: Collection[str]) -> None:
         """Connect at once to those of ``hosts`` that cannot be reached; returns once each was tried, or in a while."""
+        return
 
     async def clock_offset(self, host: str) -> ClockOffset:
         """By how much the system clock of a host is ahead of the one here, as measured now. Raises BackendError."""
