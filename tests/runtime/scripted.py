@@ -355,6 +355,9 @@ class ScriptedBackend:
     ) -> Mapping[str, str]:
         return {}
 
+    async def try_again(self, hosts: Collection[str]) -> None:
+        pass
+
     def host_links(self) -> Sequence[HostLinkState]:
         return self.links
 
