@@ -61,7 +61,7 @@ def require_reached(
 
 
 def needed_hosts(plan: Plan, configuration: Configuration) -> dict[str, str]:
-    """The hosts of what the steps of ``plan`` change, each with the first instance."""
+    """The hosts of what the steps of ``plan`` change, each with the role of the first instance there."""
     needed: dict[str, str] = {}
     actions = [step.action for step in plan.steps]
     created = {action.instance.name: action.instance for action in actions if isinstance(action, Create)}
@@ -69,5 +69,5 @@ def needed_hosts(plan: Plan, configuration: Configuration) -> dict[str, str]:
     for action in actions:
         for name in action.instances():
             if name in instances and (host := instances[name].host):
-                needed.setdefault(host, instances[name].role)  # an instance may be one that does not run yet
+                needed.setdefault(host, instances[name].role)  # the instance may not run yet
     return needed
