@@ -108,6 +108,28 @@ def test_the_copy_of_another_hosts_log_is_that_of_the_instances_there(tmp_path: 
     assert [path.stem for path in log_files(space, "talker", None)] == ["talker", "talker", "talker_2"]
 
 
+@pytest.mark.parametrize(
+    ("fields", "problems", "words"),
+    [
+        ({"log_file": None}, {}, "talker was started elsewhere, so its output is there"),
+        (
+            {"log_file": "/run/talker.log"},
+            {},
+            "the log of talker, /run/talker.log, is not there: it was removed, or could not be written",
+        ),
+        (
+            {"log_file": "arm:/far/talker.log", "host": "arm"},
+            {"arm": "its connection is silent"},
+            "the log of talker is arm:/far/talker.log, and cannot be read now: its connection is silent",
+        ),
+    ],
+)
+def test_a_node_without_a_log_is_said_to_be_so_for_the_reason(
+    fields: dict[str, Any], problems: dict[str, str], words: str
+) -> None:
+    assert logs_command.why_no_log("talker", status({**component("talker"), **fields}), problems) == words
+
+
 def test_after_a_container_has_crashed_its_log_is_that_of_its_nodes(tmp_path: Path) -> None:
     """The last one is meant, where they had moved to another process."""
     space = workspace(tmp_path, pipeline="of both", pipeline_2="of both, later", talker_2="of one for itself")

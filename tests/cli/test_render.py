@@ -145,6 +145,12 @@ def test_a_plan_that_lowers_something_for_good_does_not_call_itself_free_of_disr
     assert f"functionality-seconds on the way (proved minimal), and afterwards {afterwards};" in lines[4]
 
 
+def test_what_a_plan_without_steps_remarks_is_said_too() -> None:
+    words = "talker does not run, and this change does not start it: `midstride restart talker` restores it"
+    lines = shown(render.plan(plan(steps=[], remarks=[words]), "apply robot.stride"))
+    assert lines == ["apply robot.stride", "Nothing to do: the system already matches the target.", words]
+
+
 @pytest.mark.parametrize(
     ("until", "unserved", "words"), [(1, None, "until step 1"), (None, 1, "throughout, unserved from step 1 on")]
 )

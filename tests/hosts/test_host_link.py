@@ -142,12 +142,14 @@ class Far:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.platform = folder, Platform(folder)
+        self.programs = self.logs = folder
         self.near = Road(folder / "host.sock")
         self.task: asyncio.Task[None] | None = None
 
     async def run(self, order: HostOrder = ORDER, idle: float = 60.0) -> None:
         """Start the host process; it is another one each time."""
-        service = HostService(self.platform, order, directory=self.folder, logs=self.folder, version="1.2.3", idle=idle)
+        folders = {"directory": self.programs, "logs": self.logs}
+        service = HostService(self.platform, order, **folders, version="1.2.3", idle=idle)
         self.task = asyncio.ensure_future(service.serve(self.folder / "host.sock"))
         while not (self.folder / "host.sock").exists():
             await asyncio.sleep(0.001)
@@ -238,6 +240,27 @@ def test_a_component_is_started_watched_and_ended_on_its_host(tmp_path: Path) ->
             await until(lambda: exits)
             assert exits == [Exited("gripper_2", -9, "its last words")]
             assert not await backend.adopt(Handle("gone", 7, 1.5, None, "arm"))
+
+    run(body())
+
+
+@pytest.mark.parametrize("lost", ["programs", "logs"])
+def test_a_folder_that_is_removed_there_while_the_system_runs_is_said(tmp_path: Path, lost: str) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        far.programs, far.logs = tmp_path / "programs", tmp_path / "logs"
+        far.programs.mkdir()
+        far.logs.mkdir()
+        await far.run()
+        async with system(tmp_path, far) as (backend, _, _):
+            await backend.start(launch("gripper"))
+            assert backend.unwritten() is None
+            (tmp_path / lost).rmdir()
+            await until(backend.unwritten)
+            words = f"the folder {tmp_path / lost} was removed while the system runs, so changes fail: put its programs"
+            assert (backend.unwritten() or "").startswith(words)
+            with pytest.raises(StartFailed, match=f"gripper_2: {words}.*`midstride down` and `midstride up`"):
+                await backend.start(launch("gripper_2"))
 
     run(body())
 

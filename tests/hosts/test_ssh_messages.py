@@ -58,6 +58,15 @@ def test_what_ssh_says_is_one_sentence_with_what_to_do(status: int, errors: str,
     assert words in found and "\n" not in found
 
 
+def test_the_configuration_in_force_is_the_one_that_is_named() -> None:
+    """Else the advice would be followed for another destination, or none."""
+    other = {ssh.CONFIG_VARIABLE: "/robots/my config"}
+    refused, closed = "robot@arm: Permission denied (publickey).\n", "ssh: connect to host arm: Connection refused\n"
+    assert "(`ssh-copy-id -F '/robots/my config' robot@arm`)" in ssh.meaning(ARM, 255, refused, other)
+    assert "state its port in /robots/my config" in ssh.meaning(ARM, 255, closed, other)
+    assert "state its port in ~/.ssh/config" in ssh.meaning(ARM, 255, closed, {})
+
+
 def test_a_setup_that_is_not_there_is_named() -> None:
     assert "/opt/ros/jazzy/setup.bash is not there" in ssh.meaning(WITH_SETUP, 80, "")
     assert "with /opt/ros/jazzy/setup.bash sourced" in ssh.meaning(WITH_SETUP, 81, "")

@@ -12,7 +12,7 @@ from tests.node.test_cut import Owner, link_of, write
 
 
 def passing(link: OutputLink) -> tuple[bool, bool, bool]:
-    return link.fenced, link.lets_pass, link.is_live
+    return link.is_silenced, link.lets_pass, link.is_live
 
 
 @pytest.mark.parametrize("open_", [True, False])

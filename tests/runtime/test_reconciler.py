@@ -313,11 +313,40 @@ def test_an_output_that_has_handed_over_after_all_is_detached(tmp_path: Path) ->
     async def body(r: ReconcilingBench) -> None:
         r.client.report(reported(r.configuration.instances["talker"], talking(), gates={"out /chatter": "closed"}))
         await r.reconciler.reconcile()
-        assert r.words("note") == ["talker.out is not attached to /chatter any more, by its own report"]
+        assert r.words("note") == [
+            "talker.out is not attached to /chatter any more, by its own report",
+            "talker.out has been taken off /chatter, where a hand-over had closed its gate",
+        ]
         [detached] = r.client.of(DetachCommand, "talker")
         assert (detached.port, detached.topic) == ("out", "/chatter")
 
     reconciling(talking(), tmp_path, body)
+
+
+def test_an_output_that_a_hand_over_has_left_closed_is_detached_also_where_the_model_does_not_have_it(
+    tmp_path: Path,
+) -> None:
+    """It could not be reached when it was to be detached: its gate opens again once the new side has gone."""
+    configuration = talking().without_attachment(build.port("talker.out"), "/chatter").with_modes(DEGRADED_LISTENER)
+
+    async def body(r: ReconcilingBench) -> None:
+        left = reported(r.configuration.instances["talker"], talking(), gates={"out /chatter": "closed"})
+        r.busy = True
+        r.client.report(left)
+        await moment()
+        assert r.client.sent == [], "the gate of the new side of a hand-over in progress is closed too"
+        r.busy = False
+        r.client.reply("talker", DetachCommand, TIMEOUT, Detached(acknowledged=True, last=None))
+        r.client.report(left)
+        await moment()
+        assert r.words("note") == []
+        r.client.report(left)
+        await moment()
+        assert r.words("note") == ["talker.out has been taken off /chatter, where a hand-over had closed its gate"]
+        assert [(each.port, each.topic) for each in r.client.of(DetachCommand)] == 2 * [("out", "/chatter")]
+        assert r.system.configuration == configuration
+
+    reconciling(configuration, tmp_path, body)
 
 
 @pytest.mark.parametrize("link", [None, LinkState(gate="closed", count=0, fenced=True)])

@@ -68,6 +68,20 @@ def test_a_host_that_cannot_be_reached_is_no_crash_and_its_nodes_are_as_they_wer
     run(act)
 
 
+def test_a_plan_says_of_which_nodes_nothing_is_known_also_where_there_is_nothing_to_do() -> None:
+    async def act(system: System, manager: Manager) -> None:
+        assert (await manager.plan(PlanRequest(to=manager.specification))).remarks == ()
+        cut(system, "base", 15.0)
+        await asyncio.sleep(8.0)
+        plan = await manager.plan(PlanRequest(to=manager.specification))
+        assert plan.steps == ()
+        assert plan.remarks == (
+            "nothing is known of driver, lidar now: host base cannot be reached: its connection is silent",
+        )
+
+    run(act)
+
+
 def test_a_crash_behind_a_cut_is_known_once_the_link_is_back() -> None:
     async def act(system: System, manager: Manager) -> None:
         cut(system, "base", 10.0)

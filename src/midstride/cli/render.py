@@ -103,13 +103,13 @@ def step_text(step: AnyStep) -> str:
 
 def plan(plan: AnyPlan, title: str) -> RenderableType:
     """The steps, the functionalities that degrade, how far and for how long, and the cost."""
+    remarks = [Text(remark, style="yellow") for remark in plan.remarks or ()]
     if not plan.steps:
-        return Group(Text(title, style="bold"), Text("Nothing to do: the system already matches the target."))
+        return Group(Text(title, style="bold"), Text("Nothing to do: the system already matches the target."), *remarks)
     steps = table(["#", "step"], ["takes about"])
     steps.columns[0].justify = "right"
     for number, step in enumerate(plan.steps, 1):
         steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), _about(step))
-    remarks = [Text(remark, style="yellow") for remark in plan.remarks or ()]
     if forbidden := getattr(plan, "forbidden", None):
         remarks.insert(0, Text(f"It may not be carried out now: {forbidden}", style="red"))
     parts = [*remarks, Text.from_markup(falls(plan)), *_runtime_values(plan)]

@@ -221,13 +221,16 @@ class Parser(ComponentParser):
             bound = self.seconds("a time") if self.accept_word("in") else None
         elif word == "respawn_fallback":
             component = self.name("a component name")
-            if self.kinds[self.i + 1] not in {"<-", "->"}:  # else it is a port of that name
-                host = self._on()
-            if host is not None and self.kinds[self.i + 1] not in {"<-", "->"} and self.accept_word("lease"):
+            host = None if self._at_attachment() else self._on()
+            if host is not None and not self._at_attachment() and self.accept_word("lease"):
                 amount = self.seconds("the time of a lease")
         keyword = syntax.Name(word, self.span(start))
         stated = (amount, bound, component, unlimited, host)
         statements.append(syntax.RespawnStatement(keyword, self.since(start), *stated))
+
+    def _at_attachment(self) -> bool:
+        """Return whether the next word is the name of a port, whatever else it may mean."""
+        return self.kinds[self.i + 1] in {"<-", "->"}
 
     def _attachment(self, attachments: list[syntax.Attachment]) -> bool:
         if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"<-", "->", "=", ":", "path", "<"}:

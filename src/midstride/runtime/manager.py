@@ -27,7 +27,7 @@ from midstride.model.specification import Specification, initial
 from midstride.model.wording import counted
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest, require
-from midstride.runtime.backend_protocol import Backend, Exited
+from midstride.runtime.backend_protocol import Backend
 from midstride.runtime.change.change_permission import NO_OVERRIDE, Override
 from midstride.runtime.change.change_session import ChangeSession
 from midstride.runtime.change.reconciler import Reconciler
@@ -107,7 +107,6 @@ class Manager:
         self._client = client = ComponentClient(
             backend.transport, clock, secrets.token_hex(16), lambda: journal.superseded or store.superseded
         )
-        self._dead: set[str] = set()  # the hosts that were declared dead
         nothing = Configuration(context=specification.context)
         self.system = system = RunningSystem(specification, nothing, client.life, named)
         self._launcher = launcher = Launcher(backend, client, directory, options)
@@ -304,8 +303,7 @@ class Manager:
         try:
             await self._launcher.end(name, whole=True)
         except MidstrideError as error:
-            silent = self.system.life[name].silent
-            if silent and handle is not None and handle.host in self._dead & unreached(self._backend).keys():
+            if handle is not None and self._leases.is_given_up(name, handle.host):
                 self.events.add("note", f"{name} was on host {handle.host}, which is dead, and is left")
                 return None
             return f"{name}: {error}"
@@ -471,13 +469,7 @@ class Manager:
                 )
             if (because := self._session.permission.recorded_refusal(f"{by}: `{words}`", NO_OVERRIDE)) is not None:
                 raise ChangeForbidden(because)
-            instances = self.configuration.instances.items()
-            names = sorted(name for name, each in instances if each.host == host and not each.component.once)
-            self._dead.add(host)
-            for name in names:
-                because = f"{name} is given up: {by} has declared host {host} dead"
-                self._reconciler.fell_silent(Exited(name, None, because=because, silent=True))
-            return DeadHost(host=host, instances=names)
+            return DeadHost(host=host, instances=self._leases.declare_dead(host, by))
 
     def unlock(self, by: str) -> ChangeLock:
         """End the lock, on behalf of ``by``; returns it. Raises ChangeForbidden if there is none."""

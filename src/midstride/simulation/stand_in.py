@@ -204,7 +204,7 @@ class StandIn(ThreadlessProcess):
             (output.name, link.topic)
             for output in self._stand_in.outputs
             for link in output.links
-            if link.open and not link.fenced
+            if link.open and not link.is_silenced
         }
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -70,7 +70,7 @@ def logs_command(node: str, follow: bool, lines: int | None, all_: bool, system:
     if not paths:
         known = known_nodes(workspace, status)
         if node in known:
-            raise ManagerError(f"{node} was started elsewhere, so its output is there")
+            raise ManagerError(why_no_log(node, status, remote.problems))
         hint = suggestion(node, known) or "nothing has been started under that name"
         raise ManagerError(f"there is no log of {node} in the system {workspace.name}; {hint}")
     for name in () if status is None else ended_since(workspace, node, paths)[-1:]:
@@ -96,6 +96,16 @@ def logs_command(node: str, follow: bool, lines: int | None, all_: bool, system:
         except KeyboardInterrupt:
             return 0
     return 0
+
+
+def why_no_log(node: str, status: Status | None, problems: Mapping[str, str]) -> str:
+    """Say why a node that the manager knows has no log here. ``problems``: why those of a host could not be read."""
+    for each in () if status is None else status.instances:
+        if node in (each.role, each.name, each.container) and each.log_file is not None:
+            if each.host in problems:
+                return f"the log of {node} is {each.log_file}, and cannot be read now: {problems[each.host]}"
+            return f"the log of {node}, {each.log_file}, is not there: it was removed, or could not be written"
+    return f"{node} was started elsewhere, so its output is there"
 
 
 def _earlier(path: Path, node: str, runs: Sequence[str]) -> str:

@@ -135,16 +135,16 @@ class OutputLink:
     @property
     def lets_pass(self) -> bool:
         """Return whether a message that is written now is published."""
-        return not self.fenced and (self.open or (self.cut is not None and self.cut.passes(self)))
+        return not self.is_silenced and (self.open or (self.cut is not None and self.cut.passes(self)))
 
     @property
     def is_live(self) -> bool:
         """True if the output publishes now what the author writes, so that acting on it makes sense."""
-        return not self.fenced and (self.open or (self.cut is not None and self.cut.admits(self)))
+        return not self.is_silenced and (self.open or (self.cut is not None and self.cut.admits(self)))
 
     @property
-    def fenced(self) -> bool:
-        """Return whether nothing passes, however the gate is set."""
+    def is_silenced(self) -> bool:
+        """Return whether nothing passes, however the gate is set: it is fenced, or its lease is over."""
         return self.is_fenced or (self.lease is not None and self.lease.is_over)
 
     @property
@@ -285,7 +285,7 @@ class _Port(Generic[L]):
                 gated=link.gated,
                 measured=link.times.measured(window),
                 fields=link.fields.samples(),
-                fenced=link.fenced,
+                fenced=link.is_silenced,
             )
             for link in self.links
         }

@@ -35,7 +35,7 @@ from midstride.runtime.change.successor_names import names_after
 from midstride.runtime.handover.arbiter_choice import require_arbiters
 from midstride.runtime.handover.fences import hanging
 from midstride.runtime.process.component_client import ComponentClient
-from midstride.runtime.process.reached_hosts import out_of_reach
+from midstride.runtime.process.reached_hosts import out_of_reach, unknown_instances
 from midstride.runtime.records.journal import Journal
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.other_nodes import OtherNodesWatch
@@ -130,7 +130,8 @@ class ChangePlanner:
             *(change_facts.management_not_seen(name, planned=True) for name in unseen),
         )
         in_turn = (*answered_in_turn(plan, states), *messages_in_turn(plan, states))
-        remarks = (*remarks, *hung, *left, *not_known, *in_turn, *plan.remarks, *room)
+        unreachable = unknown_instances(self.others.backend, system.configuration)
+        remarks = (*remarks, *hung, *left, *unreachable, *not_known, *in_turn, *plan.remarks, *room)
         plan = with_time_for_goals(plan, with_goals(states, endpoints))
         plan = with_time_for_state(plan, {name for name, latest in states.items() if latest.state.keeps_state})
         live = system.configuration.instances_by_role

@@ -30,7 +30,7 @@ from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.watch.observed_configuration import (
     changed_attachments,
     differs,
-    is_closed,
+    left_closed,
     own_degradations,
     own_degradations_in,
     unsupported_modes,
@@ -120,7 +120,9 @@ class Reconciler:
                 degraded = own_degradations_in(configuration, state)
                 if degraded and (change := self.commands.change) is not None:
                     change.moved(configuration, (state.instance,))
-                wrong = differs(configuration, state) or bool(unsupported_modes(configuration, state))
+                wrong = differs(configuration, state) or bool(
+                    unsupported_modes(configuration, state) or left_closed(configuration, state)
+                )
                 if answers_again or degraded or wrong or self._can_retry(state):
                     self._reconcile_soon()
 
@@ -283,10 +285,11 @@ class Reconciler:
                 if not self.system.life[name].silent:  # else it is still to be ended
                     self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.system.life)
-            configuration, touched, because, handed_over = self._take_over_reported(configuration)
-            for port, topic in handed_over:
+            configuration, touched, because, left = self._take_over_reported(configuration)
+            for port, topic in left:
                 detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-                await self.client.undo(port.instance, detach)
+                if await self.client.undo(port.instance, detach):
+                    self.events.add("note", f"{port} has been taken off {topic}, where a hand-over had closed its gate")
             if not crashed and not degraded and not self.pending and not because:
                 return
             because += (exits[name].words for name in crashed)
@@ -314,7 +317,10 @@ class Reconciler:
 
     async def _end_left(self) -> None:
         """End what a change has left on a host that could not be reached then."""
-        for name in self.system.life.left_on_hosts(self.system.configuration.instances):
+        left = self.system.life.left_on_hosts(self.system.configuration.instances)
+        if left and self.client.superseded():  # then it is the other manager's
+            return
+        for name in left:
             with contextlib.suppress(BackendError):  # nor can it now
                 await self.launcher.end_left(name)
                 self.store.remove_instance(name)
@@ -333,7 +339,7 @@ class Reconciler:
         """
         touched: list[FunctionalityRef] = []
         because: list[str] = []
-        handed_over: list[tuple[PortRef, str]] = []
+        left: list[tuple[PortRef, str]] = []
         for name in sorted(configuration.instances):
             state = self.system.life.responsive(name)
             lacking, besides = ([], []) if state is None else changed_attachments(configuration, state)
@@ -341,17 +347,14 @@ class Reconciler:
                 because.append(f"{port} is not attached to {connector} any more")
                 if configuration.is_output(port):
                     touched += configuration.consumers(connector)
-                    topic = configuration.topic(connector)
-                    # A lifecycle node that is inactive has a closed gate too, and writes again only if it is told to.
-                    by_itself = not configuration.component(port.instance).has_lifecycle
-                    if state is not None and by_itself and is_closed(state, port, topic):
-                        handed_over.append((port, topic))
             if lacking:
                 touched += [ref for ref in configuration.modes if ref.instance == name]
             because += [f"{port} is attached to {connector}" for port, connector in besides]
             if lacking or besides:
                 self.client.accept(name)
                 configuration = with_attachments(configuration, lacking, besides)
+            if state is not None:
+                left += left_closed(configuration, state)
             if state is not None and (better := unsupported_modes(configuration, state)):
                 self.client.accept(name)
                 modes = {ref: configuration.functionality(ref).modes[index].name for ref, index in better.items()}
@@ -360,7 +363,7 @@ class Reconciler:
                 configuration = configuration.with_modes(better)
         for words in because:
             self.events.add("note", f"{words}, by its own report")
-        return configuration, touched, because, handed_over
+        return configuration, touched, because, left
 
 
 def respond(

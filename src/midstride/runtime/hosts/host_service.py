@@ -284,8 +284,8 @@ class HostService:
 
     async def _start(self, call: calls.Start) -> HandleForm:
         launch = call.launch.launch(self._directory)
-        if not self._directory.is_dir():
-            raise StartFailed(f"{launch.instance}: the folder {self._directory} is not there")
+        if (removed := self._removed()) is not None:
+            raise StartFailed(f"{launch.instance}: {removed}")
         if launch.instance in self._starting:
             raise StartFailed(f"{launch.instance}: an earlier start of that name has not ended yet")
         self._running.add(launch.instance)  # so that this process does not end meanwhile
@@ -312,6 +312,16 @@ class HostService:
         except OSError as error:
             raise BackendError(f"{path} cannot be read: {error.strerror or error}") from None
 
+    def _removed(self) -> str | None:
+        """The reason why nothing can be started any more, where a folder was removed from below the running system."""
+        for folder in (self._directory, self._logs):
+            if not folder.is_dir():
+                return (
+                    f"the folder {folder} was removed while the system runs, so changes fail: put its programs back, "
+                    "then `midstride down` and `midstride up`"
+                )
+        return None
+
     # -- what happens --------------------------------------------------------------------------------------
 
     def _exited(self, exited: Exited) -> None:
@@ -332,7 +342,7 @@ class HostService:
         return frames.StateFrame(
             stopped=[name for name in running if backend.is_stopped(name)],
             hanging=backend.hanging(),
-            unwritten=backend.unwritten(),
+            unwritten=self._removed() or backend.unwritten(),
             others={name: each for name, each in self._others.items() if name in self._running},
             spares=backend.spares(),
         )

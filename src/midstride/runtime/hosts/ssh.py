@@ -73,30 +73,33 @@ def _ssh(environment: Mapping[str, str]) -> list[str]:
     return ["ssh", *(["-F", config] if config else [])]
 
 
-# What OpenSSH says -> what is wrong, and what to do. ``{to}``: the destination. The first that is found counts.
+# What OpenSSH says -> what is wrong, and what to do. ``{to}``: the destination; ``{words}``: it, after the option for
+# another configuration than the user's, which is ``{config}``. The first that is found counts.
 _MESSAGES: Final = (
     (
         r"REMOTE HOST IDENTIFICATION HAS CHANGED|host key for .* has changed",
         "its host key is not the one that is known: if the computer was set up anew, remove the old key (`ssh-keygen "
-        "-R NAME`, as `ssh {to}` says) and accept the new one with `ssh {to}`; else somebody may answer in its place",
+        "-R NAME`, as `ssh {words}` says) and accept the new one with `ssh {words}`; else somebody may answer in its "
+        "place",
     ),
     (
         r"Host key verification failed|No .* host key is known",
-        "its host key is not known here: run `ssh {to}` once, compare the key with the one of the host, and accept it",
+        "its host key is not known here: run `ssh {words}` once, compare the key with the one of the host, and accept "
+        "it",
     ),
     (
         r"Could not resolve hostname",
-        "its name is not known: correct the destination `{to}`, or describe it in ~/.ssh/config (`Host`, `HostName`)",
+        "its name is not known: correct the destination `{to}`, or describe it in {config} (`Host`, `HostName`)",
     ),
     (
         r"Permission denied|Too many authentication failures",
-        "`ssh {to}` cannot log in without a question (permission denied): install your key there (`ssh-copy-id {to}`), "
-        "and load it (`ssh-add`) where it has a passphrase",
+        "`ssh {words}` cannot log in without a question (permission denied): install your key there (`ssh-copy-id "
+        "{words}`), and load it (`ssh-add`) where it has a passphrase",
     ),
     (
         r"Connection refused",
         "it refuses connections of SSH: start the SSH server there (`systemctl start ssh`), or state its port in "
-        "~/.ssh/config",
+        "{config}",
     ),
     (
         r"No route to host|Network is unreachable|Connection timed out|timed out|not responding",
@@ -113,12 +116,13 @@ _MESSAGES: Final = (
 )
 
 
-def meaning(host: HostSpec, status: int, errors: str) -> str:
+def meaning(host: HostSpec, status: int, errors: str, environment: Mapping[str, str] = os.environ) -> str:
     """One sentence on why the command of :func:`connect_command` ended, with what to do.
 
     ``errors``: the end of what it has written to standard error. ``status``: negative for a signal.
     """
-    last = last_line(errors)
+    last, options = last_line(errors), _ssh(environment)[1:]
+    words = shlex.join([*options, host.ssh])
     if status in (_NO_COMMAND, _NOT_FOUND):
         where = (
             f"with {host.setup} sourced" if host.setup else "for a login without a terminal, and no `setup` is stated"
@@ -131,11 +135,12 @@ def meaning(host: HostSpec, status: int, errors: str) -> str:
         return f"its `setup` {host.setup} is not there or cannot be read: correct it, or create the file there"
     if status == _WRONG_USE and "host" in errors:
         return "its Midstride has no command `host`: install the same version there as here"
-    for pattern, words in _MESSAGES if status == _SSH else ():  # else `setup` or another program there may say so
+    for pattern, text in _MESSAGES if status == _SSH else ():  # else `setup` or another program there may say so
         if re.search(pattern, errors):
-            return words.format(to=host.ssh, last=last)
+            config = options[-1] if options else "~/.ssh/config"
+            return text.format(to=host.ssh, words=words, config=config, last=last)
     how = f"was ended by signal {-status}" if status < 0 else f"ended with status {status}"
-    return f"`ssh {host.ssh}` {how}" + (f": {last}" if last else ", and said nothing")
+    return f"`ssh {words}` {how}" + (f": {last}" if last else ", and said nothing")
 
 
 def refuses_forwarding(errors: str) -> bool:

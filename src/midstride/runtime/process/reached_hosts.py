@@ -30,6 +30,16 @@ def unreached(backend: Backend) -> dict[str, str]:
     return {each.host: each.problem for each in backend.host_links() if each.problem is not None}
 
 
+def unknown_instances(backend: Backend, configuration: Configuration) -> list[str]:
+    """Say of which instances nothing is known, since their host cannot be reached now."""
+    found = []
+    for host, because in sorted(unreached(backend).items()):
+        names = sorted(name for name, each in configuration.instances.items() if each.host == host)
+        if names:
+            found.append(f"nothing is known of {', '.join(names)} now: host {host} cannot be reached: {because}")
+    return found
+
+
 def require_reached(
     backend: Backend,
     plan: Plan,

@@ -1,7 +1,7 @@
-"""Keeps the leases of nodes that have a fallback on another host, and finds which of them are over.
+"""Decides which nodes on a host that cannot be reached count as exited, so that another may take their place.
 
-A node whose host cannot be reached may run and write there. One that keeps a lease is silent once that is over, so that
-its fallback may take its place (docs/protocols/lease.md).
+Such a node may run and write there. One that has a fallback on another host keeps a lease, and is silent once that is
+over (docs/protocols/lease.md). Of the others only an operator can know: by declaring the host dead.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class _Lease:
 
 @dataclass(slots=True)
 class FallbackLeases:
-    """The leases of the running system."""
+    """The leases of the running system, and the hosts that were declared dead."""
 
     system: RunningSystem
     client: ComponentClient
@@ -59,6 +59,7 @@ class FallbackLeases:
     reconciler: Reconciler
     host_links: Callable[[], Iterable[HostLinkState]]
     _leases: dict[str, _Lease] = field(default_factory=dict)  # by instance
+    _dead: set[str] = field(default_factory=set)
     _task: asyncio.Task[None] | None = None
     _stopped: bool = False
 
@@ -92,6 +93,21 @@ class FallbackLeases:
         running = self.system.configuration.instances
         kept = ((name, lease) for name, lease in self._leases.items() if lease.kept and name in running)
         await asyncio.gather(*(end(name, lease) for name, lease in kept))
+
+    def declare_dead(self, host: str, by: str) -> list[str]:
+        """Take what runs on ``host`` for exited, as ``by`` says; returns the names of those instances."""
+        instances = self.system.configuration.instances.items()
+        names = sorted(name for name, each in instances if each.host == host and not each.component.once)
+        self._dead.add(host)
+        for name in names:
+            because = f"{name} is given up: {by} has declared host {host} dead"
+            self.reconciler.fell_silent(Exited(name, None, because=because, silent=True))
+        return names
+
+    def is_given_up(self, instance: str, host: str) -> bool:
+        """Return whether ``instance`` counts as exited on a host that was declared dead, and is not reached since."""
+        lost = host in self._dead and any(each.host == host and each.problem is not None for each in self.host_links())
+        return lost and self.system.life[instance].silent
 
     def in_words(self, instance: str) -> str | None:
         """Say what takes the place of an instance whose host cannot be reached, and when; None where nothing does."""

@@ -87,10 +87,22 @@ def changed_attachments(
     return lacking, [(port, by_topic.get(topic, topic)) for port, topic in unknown]
 
 
-def is_closed(state: ComponentState, port: PortRef, topic: str) -> bool:
-    """Return whether an output is there behind a gate that a hand-over has closed."""
-    link = state.ports.get(port.port, {}).get(topic)
-    return link is not None and link.gate == "closed" and not link.fenced
+def left_closed(configuration: Configuration, state: ComponentState) -> list[tuple[PortRef, str]]:
+    """The outputs, with their topics, that one component has behind a closed gate, and that the model does not have.
+
+    Outside a change they are what is left of a hand-over. A lifecycle node that is inactive has closed gates too, and
+    opens them only when it is told to; a fenced output stays closed.
+    """
+    name = state.instance
+    if name not in configuration.instances or configuration.component(name).has_lifecycle:
+        return []
+    modelled = {(port, configuration.topic(key)) for port, key in configuration.attached_ports(name)}
+    return [
+        (PortRef(name, port), topic)
+        for port, topics in sorted(state.ports.items())
+        for topic, link in sorted(topics.items())
+        if link.gate == "closed" and not link.fenced and (PortRef(name, port), topic) not in modelled
+    ]
 
 
 def unsupported_modes(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
