@@ -17,6 +17,7 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT
 from midstride.runtime.process.component_client import Disconnected
+from midstride.wire import replies
 from midstride.wire.commands import DetachCommand, ModesCommand
 from midstride.wire.state import LinkState
 from tests.model import build
@@ -336,7 +337,7 @@ def test_an_output_that_a_hand_over_has_left_closed_is_detached_also_where_the_m
         await moment()
         assert r.client.sent == [], "the gate of the new side of a hand-over in progress is closed too"
         r.busy = False
-        r.client.reply("talker", DetachCommand, TIMEOUT, Detached(acknowledged=True, last=None))
+        r.client.reply("talker", DetachCommand, TIMEOUT, replies.Detached(acknowledged=True, last=None))
         r.client.report(left)
         await moment()
         assert r.words("note") == []

@@ -10,6 +10,7 @@ import pytest
 
 from midstride.backends.simulator.links import Links
 from midstride.backends.simulator.virtual_clock import EPOCH, HostClock, SimulatedClock
+from midstride.errors import PlanRefused
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
@@ -68,16 +69,19 @@ def test_a_host_that_cannot_be_reached_is_no_crash_and_its_nodes_are_as_they_wer
     run(act)
 
 
-def test_a_plan_says_of_which_nodes_nothing_is_known_also_where_there_is_nothing_to_do() -> None:
+def test_a_plan_says_of_which_nodes_nothing_is_known() -> None:
     async def act(system: System, manager: Manager) -> None:
         assert (await manager.plan(PlanRequest(to=manager.specification))).remarks == ()
-        cut(system, "base", 15.0)
+        cut(system, "arm", 15.0)
         await asyncio.sleep(8.0)
         plan = await manager.plan(PlanRequest(to=manager.specification))
-        assert plan.steps == ()
-        assert plan.remarks == (
-            "nothing is known of driver, lidar now: host base cannot be reached: its connection is silent",
-        )
+        words = "nothing is known of detector, guard now: host arm cannot be reached: its connection is silent"
+        assert words in plan.remarks
+        await asyncio.sleep(20.0)
+        cut(system, "base", 15.0)
+        await asyncio.sleep(8.0)
+        with pytest.raises(PlanRefused, match="not valid.*; nothing is known of driver, lidar now: host base cannot"):
+            await manager.plan(PlanRequest(to=manager.specification))
 
     run(act)
 

@@ -245,7 +245,7 @@ class InputLink:
     endpoint: Subscription
     gate: Final = None
     gated: Final = 0
-    fenced: Final = False
+    is_silenced: Final = False
 
     def __init__(self, input: Input, topic: str, times: MessageTimes) -> None:
         self.input = input

@@ -94,7 +94,7 @@ class ServerLink(OutputLink):
 
     @property
     def lets_pass(self) -> bool:
-        return not self.fenced and self._answers.is_open
+        return not self.is_silenced and self._answers.is_open
 
     @property
     def is_live(self) -> bool:
@@ -191,7 +191,7 @@ class ServerPort(Output):
 
     def states(self) -> dict[str, LinkState]:
         return {
-            link.topic: LinkState(gate=link.gate, count=0, fenced=link.fenced, responses=self._responses(link))
+            link.topic: LinkState(gate=link.gate, count=0, fenced=link.is_silenced, responses=self._responses(link))
             for link in self.links
         }
 

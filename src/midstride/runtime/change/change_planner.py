@@ -99,7 +99,13 @@ class ChangePlanner:
         situation = _Situation(
             system.specification, system.configuration, values, unknown, measured, orders, away, said, apart, taken
         )
-        plan, target = await asyncio.to_thread(_search, request, situation)
+        unreachable = unknown_instances(self.others.backend, system.configuration)
+        try:
+            plan, target = await asyncio.to_thread(_search, request, situation)
+        except PlanRefused as error:
+            if not unreachable:
+                raise
+            raise PlanRefused("; ".join((str(error), *unreachable))) from None
         if (because := out_of_reach(self.others.backend, target)) is not None:
             raise PlanRefused(because)
         require_arbiters(plan)
@@ -130,7 +136,6 @@ class ChangePlanner:
             *(change_facts.management_not_seen(name, planned=True) for name in unseen),
         )
         in_turn = (*answered_in_turn(plan, states), *messages_in_turn(plan, states))
-        unreachable = unknown_instances(self.others.backend, system.configuration)
         remarks = (*remarks, *hung, *left, *unreachable, *not_known, *in_turn, *plan.remarks, *room)
         plan = with_time_for_goals(plan, with_goals(states, endpoints))
         plan = with_time_for_state(plan, {name for name, latest in states.items() if latest.state.keeps_state})
