@@ -80,7 +80,7 @@ def test_a_plan_says_of_which_nodes_nothing_is_known() -> None:
         await asyncio.sleep(20.0)
         cut(system, "base", 15.0)
         await asyncio.sleep(8.0)
-        with pytest.raises(PlanRefused, match="not valid.*; nothing is known of driver, lidar now: host base cannot"):
+        with pytest.raises(PlanRefused, match=r"not valid.*; nothing is known of driver, lidar now: host base cannot"):
             await manager.plan(PlanRequest(to=manager.specification))
 
     run(act)

@@ -385,6 +385,12 @@ class LifeTable:
         latest = self.latest(name)
         return None if latest is None or self.is_silent(name) else latest.state
 
+    def is_unreported(self, name: str) -> bool:
+        """True if a component runs that has reported nothing since its connection was lost."""
+        life = self[name]
+        lost = life.connection in {ConnectionState.OPEN, ConnectionState.CLOSED} and life.latest is None
+        return lost and life.process in {ProcessState.RUNNING, ProcessState.STUCK}
+
     def is_silent(self, name: str) -> bool:
         """True if a component that is connected has not reported for over ``SILENCE``."""
         latest = self.latest(name)

@@ -255,7 +255,7 @@ class Invariants:
                 self._violation(f"{self._stays(ref)} has had no server for more than {CLIENT_REFLEX:g} s")
             elif now - self._free[ref] > reaction:
                 self._violation(f"{self._stays(ref)} is broken, and the manager does not react")
-            elif now - since > REFLEX and self.oracle.reflex_applies(
+            elif now - max(since, self.platform.network.links.late_at(process.on)) > REFLEX and self.oracle.reflex_applies(
                 self._shown[ref.instance], ref.functionality, received(process)
             ):
                 self._violation(f"{self._stays(ref)} is broken for more than {REFLEX:g} s")

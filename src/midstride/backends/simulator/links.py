@@ -28,6 +28,7 @@ class Links:
         self.random = random
         self._cut: dict[tuple[str, str], tuple[float, float]] = {}  # since when, and until when (steady s)
         self._held: dict[Callable[[], None], asyncio.TimerHandle] = {}
+        self._late: dict[str, float] = {}  # by host: when something has arrived last that was held (steady s)
         self._delays: dict[tuple[str, str], float] = {}
         self._losses: dict[tuple[str, str], float] = {}
 
@@ -53,6 +54,10 @@ class Links:
         since, until = self._cut.get((sender, receiver), (math.inf, 0.0))
         return since if until > self._clock.steady() else math.inf
 
+    def late_at(self, receiver: str) -> float:
+        """When something was sent on to a host last that a cut had held back (steady s); minus infinity if never."""
+        return self._late.get(receiver, -math.inf)
+
     @property
     def any_cut(self) -> bool:
         """Return whether a line has been cut since all were cleared."""
@@ -77,6 +82,7 @@ class Links:
 
         def back() -> None:
             del self._held[back]
+            self._late[receiver] = self._clock.steady()
             self.deliver(sender, receiver, latency, arrive)
 
         left = self._until(sender, receiver) - self._clock.steady()

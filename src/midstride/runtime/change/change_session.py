@@ -136,6 +136,7 @@ class ChangeSession:
         what = by or f"`{request.describe()}`"
         if (because := self.permission.recorded_refusal(what, override, recovery=recovery)) is not None:
             return self._refuse(because)
+        await self._ask_returned()
         if (outdated := self._outdated(expected)) is not None:
             return outdated
         try:
@@ -183,6 +184,21 @@ class ChangeSession:
         refused = Outcome(outcome="refused", because=because)
         self.system.counts.changed(refused)
         return refused
+
+    async def _ask_returned(self) -> None:
+        """Ask the instances whose host has been reached again a moment ago, and that have not reported since.
+
+        What they have done meanwhile is to be known to the plan.
+        """
+        life, lost = self.system.life, unreached(self.backend)
+        names = [
+            name
+            for name, instance in self.system.configuration.instances.items()
+            if instance.host and instance.host not in lost and life.is_unreported(name)
+        ]
+        if names:
+            await asyncio.gather(*map(self.client.observe, names), return_exceptions=True)
+            await self.reconciler.reconcile()
 
     async def _reached_again(self, plan: Plan) -> bool:
         """Try once more to reach the hosts that ``plan`` needs: the cause may have been removed a moment ago.

@@ -6,6 +6,7 @@ import asyncio
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from midstride.errors import BackendError
 from midstride.model.action import Action, Attach, Create, Handover, Remove, SetParameters
@@ -17,6 +18,7 @@ from midstride.runtime.change.early_starts import EarlyStarts
 from midstride.runtime.change.step_failure import error_words
 from midstride.runtime.running_system import RunningSystem
 
+_SUPERSEDED: Final = "another manager has taken over"
 # The actions that are done, each with the configuration that it was applied to.
 DoneActions = list[tuple[Action, Configuration]]
 
@@ -46,6 +48,8 @@ class RollBack:
         if not done:
             return list(self.driver.fences.problems())
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", total=len(done))
+        if self._superseded:
+            return [_SUPERSEDED]
         created = {action.instance.name: action.instance.role for action, _ in done if isinstance(action, Create)}
         await self._kill(name for name in sorted(created) if self.system.life.responsive(name) is None)
         problems = list(self.driver.fences.problems())
@@ -58,6 +62,8 @@ class RollBack:
         )
         for kind, actions in itertools.groupby(undoing, type):
             row = list(actions)
+            if self._superseded:  # what runs is the other manager's
+                return [*problems, _SUPERSEDED]
             if kind is Remove:
                 found = await asyncio.gather(*(self._undo(each, created, failed) for each in row))
             else:
@@ -69,6 +75,10 @@ class RollBack:
         if not problems:
             self.driver.events.add("rolled_back", "every step has been undone")
         return problems
+
+    @property
+    def _superseded(self) -> bool:
+        return self.driver.client.superseded()
 
     def _taken_over(self, done: DoneActions) -> set[str]:
         """The fenced instances and those that have taken over from them: a topic does not go back to one that hangs."""
