@@ -13,7 +13,7 @@ from tests.cli.conftest import Midstride
 class Client:
     def declare_dead(self, host: str, by: str) -> DeadHost:
         assert by
-        return DeadHost(host=host, instances=["gripper", "gripper_camera"])
+        return DeadHost(host=host, instances=["gripper_2", "gripper_camera"], nodes=["gripper", "gripper_camera"])
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ class Client:
         (
             ["arm", "--yes"],
             0,
-            "Host arm counts as dead, and with it gripper, gripper_camera.\n`midstride replace gripper",
+            "Host arm counts as dead, and with it gripper_2, gripper_camera.\n`midstride replace gripper --on",
         ),
     ],
 )

@@ -257,7 +257,7 @@ def test_a_folder_that_is_removed_there_while_the_system_runs_is_said(tmp_path: 
             assert backend.unwritten() is None
             (tmp_path / lost).rmdir()
             await until(backend.unwritten)
-            words = f"the folder {tmp_path / lost} was removed while the system runs, so changes fail: put its programs"
+            words = f"the folder {tmp_path / lost} is not there any more, or cannot be read, so changes fail: "
             assert (backend.unwritten() or "").startswith(words)
             with pytest.raises(StartFailed, match=f"gripper_2: {words}.*`midstride down` and `midstride up`"):
                 await backend.start(launch("gripper_2"))
@@ -277,6 +277,42 @@ def test_what_its_back_end_raises_is_raised_here_with_the_name_of_the_host(tmp_p
             far.platform.refused["y"] = EndUnknown("y: it is not known")
             with pytest.raises(EndUnknown, match="not known"):
                 await backend.end("y", DEFAULT_STOP)
+
+    run(body())
+
+
+def test_a_process_that_does_not_die_is_no_reason_to_give_its_host_up(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, _, notes):
+            await backend.start(launch("y"))
+            far.platform.refused["x"] = BackendError("x was killed, but [7] did not exit")
+            backend._links["arm"].lost("x")
+            await until(lambda: notes)
+            assert notes == ["x could not be ended on host arm: x was killed, but [7] did not exit (on host arm)"]
+            await far.kill()
+            await far.run()
+            await until(lambda: len(notes) > 2 and not backend.problems())
+            assert any("host arm is reached again" in each for each in notes)
+            assert backend._links["arm"].is_used
+
+    run(body())
+
+
+def test_a_host_that_is_needed_no_more_is_left_once_nothing_runs_there(tmp_path: Path) -> None:
+    async def body() -> None:
+        far = Far(tmp_path)
+        await far.run()
+        async with system(tmp_path, far) as (backend, exits, _):
+            await backend.start(launch("x"))
+            await backend.leave_hosts(())
+            assert [each.host for each in backend.host_links()] == ["arm"], "x runs there"
+            await backend.end("x", DEFAULT_STOP)
+            await backend.leave_hosts({"arm"})
+            assert [each.host for each in backend.host_links()] == ["arm"]
+            await backend.leave_hosts(())
+            assert backend.host_links() == [] and backend.problems() == {} and exits == []
 
     run(body())
 

@@ -358,6 +358,9 @@ class ScriptedBackend:
     async def try_again(self, hosts: Collection[str]) -> None:
         pass
 
+    async def leave_hosts(self, needed: Container[str]) -> None:
+        pass
+
     def host_links(self) -> Sequence[HostLinkState]:
         return self.links
 

@@ -16,6 +16,7 @@ from midstride.errors import RevisionChanged, StartFailed
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend_protocol import Exited
 from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT
+from midstride.runtime.change.reconciler import DETACH_INTERVAL
 from midstride.runtime.process.component_client import Disconnected
 from midstride.wire import replies
 from midstride.wire.commands import DetachCommand, ModesCommand
@@ -338,9 +339,11 @@ def test_an_output_that_a_hand_over_has_left_closed_is_detached_also_where_the_m
         assert r.client.sent == [], "the gate of the new side of a hand-over in progress is closed too"
         r.busy = False
         r.client.reply("talker", DetachCommand, TIMEOUT, replies.Detached(acknowledged=True, last=None))
-        r.client.report(left)
-        await moment()
-        assert r.words("note") == []
+        for _ in range(5):
+            r.client.report(left)
+            await moment()
+        assert len(r.client.of(DetachCommand)) == 1 and r.words("note") == [], "commands wait while it is tried"
+        await asyncio.sleep(DETACH_INTERVAL)
         r.client.report(left)
         await moment()
         assert r.words("note") == ["talker.out has been taken off /chatter, where a hand-over had closed its gate"]

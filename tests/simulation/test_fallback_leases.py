@@ -245,6 +245,35 @@ def test_the_nodes_of_a_host_that_is_declared_dead_may_run_elsewhere_and_are_end
     act(body, spread(seconds=None), both_write=True)
 
 
+def test_what_a_failed_change_has_left_on_a_host_takes_no_place_either_once_that_is_declared_dead() -> None:
+    async def body(scene: Scene) -> None:
+        async def before_request(instance: str, op: str) -> None:
+            if instance == "lidar_2":
+                scene.cut("base", 60.0)
+
+        scene.system.platform.control.before_request = before_request
+        restart = PlanRequest(restart=("lidar",))
+        assert (await scene.manager.change(restart, brief=True)).outcome == "failed"
+        scene.system.platform.control.before_request = None
+        move = PlanRequest(on=(("lidar", "manager"),))
+        assert (await scene.manager.change(move, brief=True)).outcome == "refused"
+        dead = await scene.manager.declare_dead("base", "ann")
+        assert (dead.instances, dead.nodes) == (["driver", "lidar"], ["driver", "lidar"])
+        moved = await scene.manager.change(move, brief=True)
+        assert moved.outcome == "done", moved.because
+        await asyncio.sleep(75.0)
+        assert [each for each in scene.running if each.startswith("lidar")] == list(
+            scene.manager.configuration.instances_by_role["lidar"]
+        )
+        leases = scene.manager._leases
+        scene.cut("base", 30.0)
+        await asyncio.sleep(10.0)
+        scene.manager.system.life.give_up("driver")
+        assert not leases.is_given_up("driver", "base"), "it was declared dead before, and was reached since"
+
+    act(body, spread(seconds=None), both_write=True)
+
+
 def test_a_fallback_that_does_not_start_leaves_the_node_until_its_host_is_back() -> None:
     async def body(scene: Scene) -> None:
         cut_at = scene.now()

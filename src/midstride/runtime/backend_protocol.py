@@ -282,8 +282,12 @@ class Backend(Protocol):
         """
         return {}
 
+    async def leave_hosts(self, needed: Container[str]) -> None:
+        """Leave the hosts on which nothing was started that may still run, but those that are ``needed``."""
+        return
+
     def host_links(self) -> Sequence[HostLinkState]:
-        """The link to each host that :meth:`reach_hosts` was called with, by name."""
+        """The link to each host that :meth:`reach_hosts` was called with, and that was not left since, by name."""
         return ()
 
     async def try_again(self, hosts: Collection[str]) -> None:

@@ -259,6 +259,10 @@ class LifeTable:
         self._of(exit.instance).silent = True
         self.exited(exit)
 
+    def give_up(self, name: str) -> None:
+        """Record that one which could not be terminated counts as exited: a person says that its host is dead."""
+        self._of(name).silent = True
+
     def missed(self, name: str, role: str | None, exit: Exited) -> None:
         """Record that a role is without an instance: ``name`` has exited unexpectedly, or could not be started."""
         life = self._of(name)

@@ -469,7 +469,8 @@ class Manager:
                 )
             if (because := self._session.permission.recorded_refusal(f"{by}: `{words}`", NO_OVERRIDE)) is not None:
                 raise ChangeForbidden(because)
-            return DeadHost(host=host, instances=self._leases.declare_dead(host, by))
+            roles = self._leases.declare_dead(host, by)
+            return DeadHost(host=host, instances=[*roles], nodes=sorted({*roles.values()}))
 
     def unlock(self, by: str) -> ChangeLock:
         """End the lock, on behalf of ``by``; returns it. Raises ChangeForbidden if there is none."""

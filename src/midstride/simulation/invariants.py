@@ -234,6 +234,10 @@ class Invariants:
             ):
                 self._violation(f"{self._stays(ref)} has not arrived for more than {REFLEX:g} s")
 
+    def _late_at(self, process: StandIn) -> float:
+        """When a message that a cut had held back may have arrived last (steady s), which is no silence to its reader."""
+        return self.platform.network.links.late_at(process.on)
+
     def _hears(self, instance: str, by: str) -> bool:
         """Return whether the line from the host of an instance to that of another one is not cut."""
         sender, receiver = self.platform.standing(instance), self.platform.standing(by)
@@ -255,7 +259,7 @@ class Invariants:
                 self._violation(f"{self._stays(ref)} has had no server for more than {CLIENT_REFLEX:g} s")
             elif now - self._free[ref] > reaction:
                 self._violation(f"{self._stays(ref)} is broken, and the manager does not react")
-            elif now - max(since, self.platform.network.links.late_at(process.on)) > REFLEX and self.oracle.reflex_applies(
+            elif now - max(since, self._late_at(process)) > REFLEX and self.oracle.reflex_applies(
                 self._shown[ref.instance], ref.functionality, received(process)
             ):
                 self._violation(f"{self._stays(ref)} is broken for more than {REFLEX:g} s")

@@ -31,6 +31,6 @@ def dead_command(host: str, yes: bool, system: str | None) -> int:
     dead = client.declare_dead(host, user_name())
     names = ", ".join(dead.instances)
     lines = [f"Host {host} counts as dead{f', and with it {names}' if names else '; nothing ran there'}."]
-    lines += [f"`midstride replace {name} --on manager` starts {name} elsewhere." for name in dead.instances[:1]]
+    lines += [f"`midstride replace {name} --on manager` starts {name} elsewhere." for name in dead.nodes[:1]]
     show(dead, lines)
     return 0

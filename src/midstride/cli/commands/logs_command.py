@@ -64,6 +64,9 @@ def logs_command(node: str, follow: bool, lines: int | None, all_: bool, system:
     status = _status(client)
     remote = RemoteLogs(workspace, lambda stem: is_of(stem, node, status))
     remote.refresh()
+    for each in () if status is None else status.hosts:
+        if not each.connected:  # its socket is not forwarded then
+            remote.problems.setdefault(each.name, each.because or "it cannot be reached")
     for host, because in remote.problems.items():
         click.echo(f"(the logs of host {host} are as they were read last: {because})", err=True)
     paths = log_files(workspace, node, status)
@@ -102,7 +105,7 @@ def why_no_log(node: str, status: Status | None, problems: Mapping[str, str]) ->
     """Say why a node that the manager knows has no log here. ``problems``: why those of a host could not be read."""
     for each in () if status is None else status.instances:
         if node in (each.role, each.name, each.container) and each.log_file is not None:
-            if each.host in problems:
+            if each.host is not None and each.host in problems:
                 return f"the log of {node} is {each.log_file}, and cannot be read now: {problems[each.host]}"
             return f"the log of {node}, {each.log_file}, is not there: it was removed, or could not be written"
     return f"{node} was started elsewhere, so its output is there"

@@ -324,6 +324,7 @@ class CutInTask(_CutTask):
             if self.side.grace:
                 await self.host.sleep(self.side.grace)  # messages from before T may still be in transit to here
             await self.host.on_data(self._conclude)
+            self.changed()  # the gates of outputs that have written nothing are open now, too
             self._advances(CutProgress.FINISHED)
             while not self.side.arbiter.settled:
                 await self.host.sleep(SLOW_TICK)

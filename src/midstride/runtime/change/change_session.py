@@ -291,6 +291,7 @@ class ChangeSession:
             self.commands.change = None
             self.client.listeners.remove(modes.on_component_event)
             await change.recording.stop(self.system.configuration.instances)
+        await self.backend.leave_hosts(self.system.specification.hosts)
         roles = {role for step in change.plan.steps for role in step.roles}
         timeline = ChangeTimeline(
             since=since,

@@ -44,6 +44,8 @@ log = logging.getLogger(__name__)
 
 # After how long a component that has refused to degrade a functionality is asked again (s).
 REFUSED_INTERVAL: Final = 1.0
+# After how long a component that does not detach what a hand-over has left is told again (s): commands wait meanwhile.
+DETACH_INTERVAL: Final = 10.0
 _GONE_BEFORE: Final = "what it relied on was gone before it could be degraded"
 
 
@@ -83,6 +85,9 @@ class Reconciler:
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     _why_pending: str = _GONE_BEFORE
     _reconciled_at: float = 0.0  # when a functionality was last degraded, or refused to be (steady s)
+    # When an output that could not be detached is tried again, by port and topic (steady s).
+    _detach_at: dict[tuple[PortRef, str], float] = field(default_factory=dict)
+    _queued: bool = False  # a reconciliation in the background has not begun yet
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
@@ -121,7 +126,7 @@ class Reconciler:
                 if degraded and (change := self.commands.change) is not None:
                     change.moved(configuration, (state.instance,))
                 wrong = differs(configuration, state) or bool(
-                    unsupported_modes(configuration, state) or left_closed(configuration, state)
+                    unsupported_modes(configuration, state) or self._to_detach(left_closed(configuration, state))
                 )
                 if answers_again or degraded or wrong or self._can_retry(state):
                     self._reconcile_soon()
@@ -234,7 +239,9 @@ class Reconciler:
             self._start_reconciling()
 
     def _start_reconciling(self) -> None:
-        self._in_background(self._reconcile_in_background())
+        if not self._queued:
+            self._queued = True
+            self._in_background(self._reconcile_in_background())
 
     def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(work)
@@ -243,6 +250,7 @@ class Reconciler:
 
     async def _reconcile_in_background(self) -> None:
         async with self.commands.between():
+            self._queued = False
             try:
                 await self.reconcile()
                 self._tell_observers()
@@ -286,10 +294,7 @@ class Reconciler:
                     self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.system.life)
             configuration, touched, because, left = self._take_over_reported(configuration)
-            for port, topic in left:
-                detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-                if await self.client.undo(port.instance, detach):
-                    self.events.add("note", f"{port} has been taken off {topic}, where a hand-over had closed its gate")
+            await self._detach(self._to_detach(left))
             if not crashed and not degraded and not self.pending and not because:
                 return
             because += (exits[name].words for name in crashed)
@@ -314,6 +319,20 @@ class Reconciler:
                     for observer in self.observers:
                         observer.cut_off(reached)
             self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
+
+    def _to_detach(self, left: Iterable[tuple[PortRef, str]]) -> list[tuple[PortRef, str]]:
+        """Those of ``left`` that have not just been tried in vain."""
+        now = self.monitor.clock.steady()
+        return [each for each in left if now >= self._detach_at.get(each, 0.0)]
+
+    async def _detach(self, left: Iterable[tuple[PortRef, str]]) -> None:
+        for port, topic in left:
+            detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+            if await self.client.undo(port.instance, detach):
+                self._detach_at.pop((port, topic), None)
+                self.events.add("note", f"{port} has been taken off {topic}, where a hand-over had closed its gate")
+            else:
+                self._detach_at[port, topic] = self.monitor.clock.steady() + DETACH_INTERVAL
 
     async def _end_left(self) -> None:
         """End what a change has left on a host that could not be reached then."""

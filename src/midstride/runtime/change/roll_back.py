@@ -48,7 +48,7 @@ class RollBack:
         if not done:
             return list(self.driver.fences.problems())
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", total=len(done))
-        if self._superseded:
+        if self._is_superseded():
             return [_SUPERSEDED]
         created = {action.instance.name: action.instance.role for action, _ in done if isinstance(action, Create)}
         await self._kill(name for name in sorted(created) if self.system.life.responsive(name) is None)
@@ -62,7 +62,7 @@ class RollBack:
         )
         for kind, actions in itertools.groupby(undoing, type):
             row = list(actions)
-            if self._superseded:  # what runs is the other manager's
+            if self._is_superseded():  # what runs is the other manager's
                 return [*problems, _SUPERSEDED]
             if kind is Remove:
                 found = await asyncio.gather(*(self._undo(each, created, failed) for each in row))
@@ -76,8 +76,7 @@ class RollBack:
             self.driver.events.add("rolled_back", "every step has been undone")
         return problems
 
-    @property
-    def _superseded(self) -> bool:
+    def _is_superseded(self) -> bool:
         return self.driver.client.superseded()
 
     def _taken_over(self, done: DoneActions) -> set[str]:

@@ -12,7 +12,7 @@ import contextlib
 import logging
 import random
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Iterable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -114,6 +114,11 @@ class HostLink:
         """The link as the status shows it."""
         version = "" if self.report is None else self.report.version
         return HostLinkState(self.host.name, self.host.ssh, self._since, self.problem, version, self.clock)
+
+    @property
+    def is_used(self) -> bool:
+        """Return whether a component may run there that was started through the link."""
+        return bool(self.handles or self._lost)
 
     @property
     def connected(self) -> bool:
@@ -273,14 +278,26 @@ class HostLink:
             return
         names = sorted({*self._known(), *self.handles})
         call = calls.EndOrphans(token=self._token(), known=names, stop=StopTimesForm.of(KILL_AT_ONCE))
-        for instance in await self._call(call, list[str]):
-            self._on_change(f"{instance}, which was being started on host {self.host.name}, was ended there")
+        async with self._not_ended("what an earlier host process has started"):
+            for instance in await self._call(call, list[str]):
+                self._on_change(f"{instance}, which was being started on host {self.host.name}, was ended there")
 
     async def _end_lost(self) -> None:
         """End what may have been started, and nobody has waited for."""
         for instance in sorted(self._lost):
-            await self._call(calls.End(instance=instance, stop=StopTimesForm.of(KILL_AT_ONCE)), list[RemainingForm])
-            self._lost.discard(instance)
+            async with self._not_ended(instance):
+                await self._call(calls.End(instance=instance, stop=StopTimesForm.of(KILL_AT_ONCE)), list[RemainingForm])
+                self._lost.discard(instance)
+
+    @contextlib.asynccontextmanager
+    async def _not_ended(self, what: str) -> AsyncIterator[None]:
+        """Say what could not be ended there: a process that does not die is no reason to give the host up."""
+        try:
+            yield
+        except (Unreachable, CallTimeout):
+            raise
+        except BackendError as error:
+            self._on_change(f"{what} could not be ended on host {self.host.name}: {error}")
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         while True:

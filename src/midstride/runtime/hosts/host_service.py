@@ -314,11 +314,11 @@ class HostService:
 
     def _removed(self) -> str | None:
         """The reason why nothing can be started any more, where a folder was removed from below the running system."""
-        for folder in (self._directory, self._logs):
-            if not folder.is_dir():
+        for folder, first in ((self._directory, "put its programs back, then "), (self._logs, "")):
+            if not os.path.isdir(folder):  # that of Path raises where a network file system does not answer
                 return (
-                    f"the folder {folder} was removed while the system runs, so changes fail: put its programs back, "
-                    "then `midstride down` and `midstride up`"
+                    f"the folder {folder} is not there any more, or cannot be read, so changes fail: "
+                    f"{first}`midstride down` and `midstride up`"
                 )
         return None
 

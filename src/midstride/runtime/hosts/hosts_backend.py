@@ -217,6 +217,11 @@ class HostsBackend(Backend):
                 self._judged.add(name)
         return self.problems()
 
+    async def leave_hosts(self, needed: Container[str]) -> None:
+        for name in [name for name, link in self._links.items() if name not in needed and not link.is_used]:
+            await self._links.pop(name).close()
+            self._judged.discard(name)
+
     async def _measure_clocks(self) -> None:
         for link in list(self._links.values()):
             if link.connected:

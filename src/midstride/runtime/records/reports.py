@@ -70,10 +70,11 @@ class DownReport(Report, frozen=True):
 
 
 class DeadHost(Report, frozen=True, kw_only=True):
-    """A host that a person has declared dead. Nothing is known of the ``instances`` that ran there."""
+    """A host that a person has declared dead. Nothing is known of the ``instances`` of ``nodes`` that ran there."""
 
     host: str
     instances: list[str]
+    nodes: list[str]
 
 
 class FencedInstance(Report, frozen=True, kw_only=True):

@@ -59,7 +59,7 @@ class FallbackLeases:
     reconciler: Reconciler
     host_links: Callable[[], Iterable[HostLinkState]]
     _leases: dict[str, _Lease] = field(default_factory=dict)  # by instance
-    _dead: set[str] = field(default_factory=set)
+    _dead: dict[str, float] = field(default_factory=dict)  # by host: since when it was not reached (unix s)
     _task: asyncio.Task[None] | None = None
     _stopped: bool = False
 
@@ -94,20 +94,24 @@ class FallbackLeases:
         kept = ((name, lease) for name, lease in self._leases.items() if lease.kept and name in running)
         await asyncio.gather(*(end(name, lease) for name, lease in kept))
 
-    def declare_dead(self, host: str, by: str) -> list[str]:
-        """Take what runs on ``host`` for exited, as ``by`` says; returns the names of those instances."""
-        instances = self.system.configuration.instances.items()
-        names = sorted(name for name, each in instances if each.host == host and not each.component.once)
-        self._dead.add(host)
-        for name in names:
+    def declare_dead(self, host: str, by: str) -> dict[str, str]:
+        """Take what runs on ``host`` for exited, as ``by`` says; returns the role of each of these instances."""
+        instances, life = self.system.configuration.instances, self.system.life
+        found = {name: each for name, each in instances.items() if each.host == host and not each.component.once}
+        self._dead[host] = next(each.since for each in self.host_links() if each.host == host)
+        for name in life.left_on_hosts(instances):  # as of a change that failed: its place is free, too
+            handle = life[name].handle
+            if handle is not None and handle.host == host:
+                life.give_up(name)
+        for name in sorted(found):
             because = f"{name} is given up: {by} has declared host {host} dead"
             self.reconciler.fell_silent(Exited(name, None, because=because, silent=True))
-        return names
+        return {name: found[name].role for name in sorted(found)}
 
     def is_given_up(self, instance: str, host: str) -> bool:
         """Return whether ``instance`` counts as exited on a host that was declared dead, and is not reached since."""
-        lost = host in self._dead and any(each.host == host and each.problem is not None for each in self.host_links())
-        return lost and self.system.life[instance].silent
+        links = [each for each in self.host_links() if each.host == host and each.problem is not None]
+        return self.system.life[instance].silent and any(self._dead.get(host) == each.since for each in links)
 
     def in_words(self, instance: str) -> str | None:
         """Say what takes the place of an instance whose host cannot be reached, and when; None where nothing does."""
@@ -190,7 +194,7 @@ class FallbackLeases:
             if not over or len(over) < len(found):
                 continue
             for instance, lease in over:
-                if self._seconds(instance.name) is None:
+                if self._seconds(instance.name) is None or self.system.life[instance.name].silent:
                     continue
                 words = (
                     f"{instance.name} is silent: {host_in_words(instance.host)} cannot be reached, and its lease of "
