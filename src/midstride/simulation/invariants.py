@@ -229,13 +229,16 @@ class Invariants:
             process = self.platform.standing(ref.instance)
             if process is None or not process.reacts:
                 self._cut_off[ref] = now
-            elif now - max(since, process.frozen_until) > REFLEX and self.oracle.reflex_applies(
+                continue
+            # A reflex counts nothing for a while after its process was stopped.
+            counted = process.frozen_until and process.frozen_until + LONG_FLOOR
+            if now - max(since, counted, self._late_at(process)) > REFLEX and self.oracle.reflex_applies(
                 self._shown[ref.instance], ref.functionality, received(process)
             ):
                 self._violation(f"{self._stays(ref)} has not arrived for more than {REFLEX:g} s")
 
     def _late_at(self, process: StandIn) -> float:
-        """When a message that a cut had held back may have arrived last (steady s), which is no silence to its reader."""
+        """When a message that a cut had held back may have arrived last (steady s): no silence to its reader."""
         return self.platform.network.links.late_at(process.on)
 
     def _hears(self, instance: str, by: str) -> bool:
