@@ -245,6 +245,30 @@ def test_the_nodes_of_a_host_that_is_declared_dead_may_run_elsewhere_and_are_end
     act(body, spread(seconds=None), both_write=True)
 
 
+def test_the_next_manager_knows_that_a_host_was_declared_dead_and_ends_what_runs_there_once_it_is_back() -> None:
+    async def body(scene: Scene) -> None:
+        scene.cut("base", 100.0)
+        await asyncio.sleep(10.0)
+        await scene.manager.declare_dead("base", "ann")
+        moved = await scene.manager.change(PlanRequest(on=(("lidar", "manager"), ("driver", "manager"))), brief=True)
+        assert moved.outcome == "done", moved.because
+        scene.system.lives[-1].kill()
+        await asyncio.sleep(5.0)
+        scene.manager = scene.system.new_manager()
+        await scene.manager.up()
+        assert "driver still counts as exited" in scene.notes() and scene.manager.system.life.silent == {
+            "driver",
+            "lidar",
+        }
+        assert {"lidar_2", "driver_2"} < {*scene.manager.configuration.instances} and "driver" in scene.running
+        await asyncio.sleep(110.0)
+        assert "driver could not be terminated before, and has been now" in scene.notes()
+        assert scene.running == sorted(scene.manager.configuration.instances)
+        assert sorted(scene.system.recorded()) == scene.running and not scene.manager.system.life.silent
+
+    act(body, spread(seconds=None), both_write=True)
+
+
 def test_what_a_failed_change_has_left_on_a_host_takes_no_place_either_once_that_is_declared_dead() -> None:
     async def body(scene: Scene) -> None:
         async def before_request(instance: str, op: str) -> None:

@@ -306,10 +306,11 @@ declare namespace Api {
     seconds: number;
   }
 
-  /** A host that a person has declared dead. Nothing is known of the ``instances`` that ran there. */
+  /** A host that a person has declared dead. Nothing is known of the ``instances`` of ``nodes`` that ran there. */
   interface DeadHost {
     host: string;
     instances: string[];
+    nodes: string[];
   }
 
   /** The statement that a host which cannot be reached is dead, so that its nodes may be started elsewhere. */

@@ -259,6 +259,13 @@ class LifeTable:
         self._of(exit.instance).silent = True
         self.exited(exit)
 
+    def left_silent(self, handle: Handle, role: str, because: str) -> None:
+        """Record that one which an earlier manager took for exited still cannot be reached on its host."""
+        exit = Exited(handle.instance, None, because=because, silent=True)
+        self.adopted(handle.instance, handle)
+        self.fell_silent(exit)
+        self.missed(handle.instance, role, exit)
+
     def give_up(self, name: str) -> None:
         """Record that one which could not be terminated counts as exited: a person says that its host is dead."""
         self._of(name).silent = True

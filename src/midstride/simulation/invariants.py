@@ -238,7 +238,7 @@ class Invariants:
                 self._violation(f"{self._stays(ref)} has not arrived for more than {REFLEX:g} s")
 
     def _late_at(self, process: StandIn) -> float:
-        """When a message that a cut had held back may have arrived last (steady s): no silence to its reader."""
+        """The time when what a cut had held back may last have arrived (steady s): no silence to its reader."""
         return self.platform.network.links.late_at(process.on)
 
     def _hears(self, instance: str, by: str) -> bool:

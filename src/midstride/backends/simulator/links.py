@@ -55,7 +55,7 @@ class Links:
         return since if until > self._clock.steady() else math.inf
 
     def late_at(self, receiver: str) -> float:
-        """When something was sent on to a host last that a cut had held back (steady s); minus infinity if never."""
+        """The time when what a cut had held back was last sent on to a host (steady s); minus infinity if never."""
         return self._late.get(receiver, -math.inf)
 
     @property

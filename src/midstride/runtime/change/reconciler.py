@@ -292,6 +292,7 @@ class Reconciler:
                 self.store.write_apart(self.system.apart)  # first: a manager that is killed in between finds it
                 if not self.system.life[name].silent:  # else it is still to be ended
                     self.store.remove_instance(name)
+            self.store.write_silent(self.system.life.silent)
             degraded = own_degradations(configuration, self.system.life)
             configuration, touched, because, left = self._take_over_reported(configuration)
             await self._detach(self._to_detach(left))
@@ -321,7 +322,7 @@ class Reconciler:
             self.pending, self._reconciled_at = dict(failed), self.monitor.clock.steady()
 
     def _to_detach(self, left: Iterable[tuple[PortRef, str]]) -> list[tuple[PortRef, str]]:
-        """Those of ``left`` that have not just been tried in vain."""
+        """The outputs in ``left`` that have not just been tried in vain."""
         now = self.monitor.clock.steady()
         return [each for each in left if now >= self._detach_at.get(each, 0.0)]
 

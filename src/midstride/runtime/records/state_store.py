@@ -8,7 +8,7 @@ on the size of the system.
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -57,6 +57,8 @@ _CARRIED: Final = "carried"
 _EXPORTED: Final = "exported of "
 # The roles without an instance whose last one had left its container.
 _APART: Final = "apart"
+# The instances that count as exited on a host that cannot be reached.
+_SILENT: Final = "silent"
 _LOCK: Final = "lock"
 # Instead of the handle of an instance whose program has ended as it should.
 _DONE: Final = "done"
@@ -87,9 +89,9 @@ class SavedState:
     ``values``: by role, the parameter values that were set at run time. ``carried``: by instance, those when a change
     that has not ended last carried them over. ``exported``: by role, the state of an instance that such a change has
     removed before its successor was there. ``apart``: by role that has none, the container that its last instance had
-    left. ``file`` was brought up or applied last, if any, and ``changed_since``:
-    another command has changed the specification then. ``lock``: a person has locked it.
-    ``reach``: as of :meth:`midstride.runtime.backend_protocol.Backend.reach`.
+    left. ``silent``: the instances that counted as exited on a host that cannot be reached. ``file`` was brought up or
+    applied last, if any, and ``changed_since``: another command has changed the specification then. ``lock``: a person
+    has locked it. ``reach``: as of :meth:`midstride.runtime.backend_protocol.Backend.reach`.
     """
 
     backend: str
@@ -105,6 +107,7 @@ class SavedState:
     carried: dict[str, dict[str, Any]] = field(default_factory=dict)
     exported: dict[str, LeftState] = field(default_factory=dict)
     apart: dict[str, str] = field(default_factory=dict)
+    silent: frozenset[str] = frozenset()
 
 
 class StateStore:
@@ -122,6 +125,7 @@ class StateStore:
         self._specification = Specification("")  # as last written
         self._carried: dict[str, dict[str, Any]] = {}  # as last written
         self._apart: dict[str, str] = {}  # as last written
+        self._silent: frozenset[str] = frozenset()  # as last written
         self._pending: _Statements = {}  # writes that failed
         self._lease = Lease("system")
 
@@ -149,6 +153,7 @@ class StateStore:
             carried = msgspec.json.decode(system.get(_CARRIED, "{}"), type=dict[str, dict[str, Any]])
             self._carried = {name: _values(forms) for name, forms in carried.items()}
             self._apart = msgspec.json.decode(system.get(_APART, "{}"), type=dict[str, str])
+            self._silent = msgspec.json.decode(system.get(_SILENT, "[]"), type=frozenset[str])
             return SavedState(
                 system["backend"],
                 system["token"],
@@ -171,6 +176,7 @@ class StateStore:
                     if key.startswith(_EXPORTED)
                 },
                 dict(self._apart),
+                self._silent,
             )
         except ManagerError:
             raise
@@ -314,6 +320,12 @@ class StateStore:
             self._apart = dict(apart)
             self._write(_puts(_APART, msgspec.json.encode(self._apart).decode()))
 
+    def write_silent(self, names: Collection[str]) -> None:
+        """The instances that count as exited on a host that cannot be reached: the next manager ends them later."""
+        if frozenset(names) != self._silent:
+            self._silent = frozenset(names)
+            self._write(_puts(_SILENT, msgspec.json.encode(sorted(names)).decode()))
+
     def write_lock(self, lock: ChangeLock | None) -> None:
         """A person has locked the system, or None: the lock has ended."""
         if lock is not None:
@@ -332,7 +344,7 @@ class StateStore:
         self.close()
         self._disk.remove(self.path)
         self._lease.renew()
-        self._carried, self._apart = {}, {}
+        self._carried, self._apart, self._silent = {}, {}, frozenset()
 
     def close(self) -> None:
         database, self._database = self._database, None

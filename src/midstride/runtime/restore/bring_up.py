@@ -216,13 +216,15 @@ class BringUp:
         targets = [change.target for change in interrupted]
         waiting = {role: left.exporter for role, left in saved.exported.items()}
         self.system.configuration = await recover(
-            saved.instances, self.system.specification, half_done, targets, waiting
+            saved.instances, self.system.specification, half_done, targets, waiting, saved.silent
         )
         self.store.write_carried({})
         for role, left in saved.exported.items():
             await self._give_back(role, left)
         running = self.system.configuration.instances
-        gone = [each.instance for each in saved.instances if each.instance.name not in running]
+        silent = self.system.life.silent
+        known = [each.instance for each in saved.instances if each.instance.name not in silent]
+        gone = [each for each in known if each.name not in running]
         for instance in gone:
             if not instance.component.once:
                 self.system.gone(instance)

@@ -7,7 +7,7 @@ is a difference to the specification, which the manager removes by an ordinary p
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -37,13 +37,14 @@ async def recover(
     half_done: HalfDone,
     targets: Sequence[Specification] = (),
     waiting: Mapping[str, str] = MappingProxyType({}),
+    silent: Container[str] = (),
 ) -> Configuration:
     """The configuration of the components that still run, after terminating those that were only partly started.
 
     ``half_done`` ends these. ``targets``: where interrupted changes led; components may be attached to the topics of
     these already. ``waiting``: by role, the UUID of the process whose exported state its instance is to import, and
-    answers then. A component started by hand that does not answer is left out. Raises Unreachable for those that a
-    manager started.
+    answers then. A component started by hand that does not answer is left out, as are ``silent`` ones, which counted
+    as exited on a host that cannot be reached: they are ended once it is. Raises Unreachable for others.
     """
     launcher, client, events = half_done.launcher, half_done.client, half_done.events
     found: dict[str, tuple[Instance, ComponentState]] = {}
@@ -66,7 +67,12 @@ async def recover(
             if handle is not None:
                 if isinstance(error, ProtocolError):
                     raise
-                hanging.append(str(error))
+                if instance.name in silent and handle.host:
+                    because = f"{instance.name} still counts as exited: {error}"
+                    client.life.left_silent(handle, instance.role, because)
+                    events.add("note", because)
+                else:
+                    hanging.append(str(error))
                 continue
             events.add("note", f"{error}; it is left out until it does")
             launcher.leave(instance.name)
