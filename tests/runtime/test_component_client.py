@@ -305,6 +305,29 @@ def test_undoing_waits_for_a_change_that_was_still_under_way() -> None:
     play(body)
 
 
+def test_an_undo_that_is_owed_is_sent_once_the_component_can_be_reached_again() -> None:
+    async def body(c: Control) -> None:
+        c.client.owe("talker", GATE)
+        c.client.owe("listener", GATE)
+        await c.client.send_owed()
+        assert c.component.names() == []
+        await c.client.connect("talker")
+        c.component.move()
+        await settled()
+        await c.client.send_owed()
+        await c.client.send_owed()
+        assert c.component.carried_out == ["gate"]
+        c.client.owe("talker", GATE)
+        c.client.disconnect("talker")
+        await c.client.connect("talker")
+        c.component.move()
+        await settled()
+        await c.client.send_owed()
+        assert c.component.carried_out == ["gate"], "it was owed to a process that is gone"
+
+    play(body)
+
+
 def test_undoing_gives_up_silently() -> None:
     async def body(c: Control) -> None:
         observe = c.component.state

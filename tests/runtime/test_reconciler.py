@@ -19,7 +19,7 @@ from midstride.runtime.change.mode_changes import DRAIN_TIMEOUT
 from midstride.runtime.change.reconciler import DETACH_INTERVAL
 from midstride.runtime.process.component_client import Disconnected
 from midstride.wire import replies
-from midstride.wire.commands import DetachCommand, ModesCommand
+from midstride.wire.commands import CancelCutCommand, DetachCommand, ModesCommand
 from midstride.wire.state import LinkState
 from tests.model import build
 from tests.model.build import work
@@ -321,6 +321,18 @@ def test_an_output_that_has_handed_over_after_all_is_detached(tmp_path: Path) ->
         ]
         [detached] = r.client.of(DetachCommand, "talker")
         assert (detached.port, detached.topic) == ("out", "/chatter")
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_the_old_side_of_a_cut_is_told_that_it_may_write_again_before_it_is_taken_to_have_handed_over(
+    tmp_path: Path,
+) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.client.owe("talker", CancelCutCommand(cut="1", freed=True))
+        r.client.report(reported(r.configuration.instances["talker"], talking(), gates={"out /chatter": "closed"}))
+        await r.reconciler.reconcile()
+        r.client.assert_order(("talker", "undo cancel_cut"), ("talker", "undo detach"))
 
     reconciling(talking(), tmp_path, body)
 

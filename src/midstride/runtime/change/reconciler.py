@@ -280,6 +280,7 @@ class Reconciler:
         """
         async with self._reconciling:
             await self._end_left()
+            await self.client.send_owed()
             configuration = self.system.configuration
             exits = self.system.life.exits
             crashed = self.system.life.take_exited(configuration.instances)

@@ -495,9 +495,12 @@ class LiveHandover:
             for side in (cut.new, cut.old):
                 if side in self.client.life.fenced:
                     continue  # it may hang for ever, and publishes nothing
-                undone = await self.client.undo(side, commands.CancelCutCommand(cut=cut.id, freed=freed))
+                cancel = commands.CancelCutCommand(cut=cut.id, freed=freed)
+                undone = await self.client.undo(side, cancel)
                 if side == cut.new and cut.lease:
                     freed = undone or self.client.life.is_gone(side)
+                elif freed and not undone:  # nobody else can tell it that it may write again
+                    self.client.owe(side, cancel)
 
     async def _undo(self) -> None:
         """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""

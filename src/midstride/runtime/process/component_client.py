@@ -79,6 +79,7 @@ class ComponentClient:
     _reopening: dict[str, asyncio.Task[None]] = field(default_factory=dict)
     _reopened_at: dict[str, float] = field(default_factory=dict)
     _registrations: dict[str, asyncio.Future[Registration]] = field(default_factory=dict)
+    _owed: dict[str, list[Command[Any]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.life = LifeTable(self.clock)
@@ -200,6 +201,7 @@ class ComponentClient:
         if reopening := self._reopening.pop(instance, None):
             reopening.cancel()
         self._reopened_at.pop(instance, None)
+        self._owed.pop(instance, None)
         channel = self._channels.get(instance)
         self._drop(instance, ConnectionEvent.DISCONNECTED)
         if channel is not None:
@@ -272,6 +274,16 @@ class ComponentClient:
                 return False
             return True
         return False
+
+    def owe(self, instance: str, command: Command[Any]) -> None:
+        """Keep the undo ``command``, which could not be carried out, for when the component can be reached again."""
+        self._owed.setdefault(instance, []).append(command)
+
+    async def send_owed(self) -> None:
+        """Send the undos that are owed to components that can be reached again."""
+        for instance in [name for name in self._owed if self.life.responsive(name) is not None]:
+            for command in self._owed.pop(instance):
+                await self.undo(instance, command)
 
     def forget_revision(self, instance: str) -> None:
         """The component's revision is unknown from now on: the next change observes it first."""
