@@ -7,6 +7,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 
 from .systems import running, with_api, without_api
@@ -73,7 +74,6 @@ class OnRclcpp(Gated):
     def __init__(self) -> None:
         super().__init__("preload", "Midstride, without its API: rclcpp, `gate preload`")
         self.name = "rclcpp"
-        self._program: Path | None = None
 
     def missing(self, setting: Setting) -> str | None:
         if _prefix_of_rclcpp() is None:
@@ -81,10 +81,17 @@ class OnRclcpp(Gated):
         return None if shutil.which("g++") else "there is no C++ compiler here"
 
     def command(self, setting: Setting) -> Sequence[str]:
-        if self._program is None:
-            self._program = Path(tempfile.mkdtemp(prefix="rclcpp", dir=setting.folder.parent)) / "talker"
-            _compile(self._program)
         return [str(self._program), *setting.stream.words]
+
+    @cached_property
+    def _program(self) -> Path:
+        program = Path(self._folder.name) / "talker"
+        _compile(program)
+        return program
+
+    @cached_property
+    def _folder(self) -> tempfile.TemporaryDirectory[str]:
+        return tempfile.TemporaryDirectory(prefix="rclcpp")  # for all conditions, whose own folders go
 
 
 def _prefix_of_rclcpp() -> Path | None:

@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 
 # After how long a component that has refused to degrade a functionality is asked again (s).
 REFUSED_INTERVAL: Final = 1.0
-# After how long a component that does not detach what a hand-over has left is told again (s): commands wait meanwhile.
+# After how long a component that does not detach what a hand-over has left is asked again (s): commands wait meanwhile.
 DETACH_INTERVAL: Final = 10.0
 _GONE_BEFORE: Final = "what it relied on was gone before it could be degraded"
 

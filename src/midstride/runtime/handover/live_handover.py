@@ -499,7 +499,7 @@ class LiveHandover:
                 undone = await self.client.undo(side, cancel)
                 if side == cut.new and cut.lease:
                     freed = undone or self.client.life.is_gone(side)
-                elif freed and not undone:  # nobody else can tell it that it may write again
+                elif freed and not undone:  # no other process can notify the old side
                     self.client.owe(side, cancel)
 
     async def _undo(self) -> None:
