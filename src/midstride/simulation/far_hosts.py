@@ -233,7 +233,7 @@ class SimulatedHosts(HostsBackend):
     def __init__(self, platform: Platform, workspace: Workspace, hosts: dict[str, FarHost]) -> None:
         super().__init__(PartOfHost(platform, ""), workspace, connect=self._simulated)
         self._platform, self._hosts = platform, hosts
-        self.reached_at = 0.0  # when a host was last connected to (steady s)
+        self.reached_at = 0.0  # when a host was last reached or lost (steady s)
         self.connections: list[SimulatedSsh] = []
 
     def _simulated(self, host: HostSpec, folder: Path) -> SshConnection:
@@ -245,6 +245,19 @@ class SimulatedHosts(HostsBackend):
         if other is None:
             return SAME_CLOCK
         return ClockOffset(other.system_now() - own.system_now(), round(LATENCY * 1e9), own.system_now())
+
+    async def reach_hosts(
+        self,
+        hosts: Mapping[str, HostSpec],
+        token: str,
+        note: Callable[[str], object],
+        superseded: Callable[[], bool],
+    ) -> Mapping[str, str]:
+        def noted(words: str) -> None:
+            self.reached_at = self.clock.steady()  # a login is not enough: the line may be cut right after it
+            note(words)
+
+        return await super().reach_hosts(hosts, token, noted, superseded)
 
     def _sockets(self) -> Path:
         return Path("simulated")
