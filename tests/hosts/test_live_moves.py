@@ -193,8 +193,8 @@ def test_a_fault_at_each_moment_of_a_move_leaves_one_writer_and_a_valid_system(m
             f"{moment + number * step:.2f} s, to {other}: {outcome}, settled {settled[-1]:.1f} s, {writers}, ", end=""
         )
         print(f"silent {silent[-1]:.2f} s, twice {twice}, missed {missed}", flush=True)
-        # One writes, then the other one, which may have to leave it to the first one again.
-        assert len(writers) <= 3 and len(set(writers)) <= 2, robot("log").out
+        # One writes, then the other one, which may have to leave it to the first one again, or to one in its place.
+        assert len(writers) <= 3, robot("log").out
     print(f"{CUTS} faults of the {fault}, load {os.getloadavg()}: {dict(outcomes)}")
     print(f"settled after {shown(sorted(settled))} s; silent for {shown(sorted(silent))} s")
     print(f"numbers published twice {twice}, missed {missed}")

@@ -477,7 +477,7 @@ def assert_one_writer(states: int, **given: Any) -> list[Seen]:
         pytest.param("cndn", "", False, 33649, marks=LONG),
         pytest.param("cokn", "", False, 23608, marks=LONG),
         pytest.param("cnco", "", False, 35822, marks=LONG),
-        pytest.param("snso", "", False, 21084, marks=LONG),
+        pytest.param("snso", "", False, 21128, marks=LONG),
         pytest.param("cn", "n", True, 136516, marks=LONG),
         pytest.param("", "on", True, 47146, marks=LONG),
     ],

@@ -172,6 +172,17 @@ def test_a_connection_that_cannot_be_reopened_shows_an_exit_before_the_back_end_
     assert not life.is_gone("talker") and life["talker"].connection is ConnectionState.OPEN
 
 
+def test_one_that_is_missing_and_cannot_be_started_again_is_missed_for_the_latest_reason() -> None:
+    """As by the next manager, where its host cannot be reached: no process has been started meanwhile."""
+
+    async def body(life: LifeTable, clock: SimulatedClock) -> None:
+        life.missed("talker", "talker", EXITED)
+        life.missed("talker", "talker", Exited("talker", None, because="host arm cannot be reached"))
+        assert [exit.words for exit in life.missing.values()] == ["host arm cannot be reached"]
+
+    living(body)
+
+
 def test_those_that_have_exited_are_missed_by_their_roles_and_others_are_forgotten() -> None:
     life = after(*CRASHED)
     life.started("talker_2", Handle("talker_2", 8, 1.0))

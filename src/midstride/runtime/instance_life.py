@@ -111,7 +111,7 @@ PROCESSES: Final = Transitions.read(
     killed      .        .        .        .        exited   .        exited   .
     released    absent   absent   absent   .        .        .        exited   missing
     exited      .        exited   exited   .        exited   exited   exited   missing
-    missed      missing  .        .        .        .        missing  missing  .
+    missed      missing  .        .        .        .        missing  missing  missing
     replaced    .        .        .        .        .        .        absent   absent
     supplanted  .        .        .        .        .        .        .        stuck
     """,
