@@ -497,9 +497,9 @@ class LiveHandover:
                     continue  # it may hang for ever, and publishes nothing
                 cancel = commands.CancelCutCommand(cut=cut.id, freed=freed)
                 undone = await self.client.undo(side, cancel)
-                if side == cut.new and cut.lease:
-                    freed = undone or self.client.life.is_gone(side)
-                elif freed and not undone:  # no other process can notify the old side
+                if side == cut.new:
+                    freed = bool(cut.lease) and (undone or self.client.life.is_gone(side))
+                elif not undone:  # else it would be part of this cut for ever
                     self.client.owe(side, cancel)
 
     async def _undo(self) -> None:
