@@ -230,16 +230,18 @@ class Invariants:
             if process is None or not process.reacts:
                 self._cut_off[ref] = now
                 continue
-            # A reflex counts nothing for a while after its process was stopped.
-            counted = process.frozen_until and process.frozen_until + LONG_FLOOR
-            if now - max(since, counted, self._late_at(process)) > REFLEX and self.oracle.reflex_applies(
+            if now - max(since, self._counts_from(process)) > REFLEX and self.oracle.reflex_applies(
                 self._shown[ref.instance], ref.functionality, received(process)
             ):
                 self._violation(f"{self._stays(ref)} has not arrived for more than {REFLEX:g} s")
 
-    def _late_at(self, process: StandIn) -> float:
-        """The time when what a cut had held back may last have arrived (steady s): no silence to its reader."""
-        return self.platform.network.links.late_at(process.on)
+    def _counts_from(self, process: StandIn) -> float:
+        """The time from which a silence counts for the reflex of ``process`` (steady s).
+
+        After a stop it counts nothing for a while; and what a cut had held back is no silence when it arrives.
+        """
+        stopped = process.frozen_until and process.frozen_until + LONG_FLOOR
+        return max(stopped, self.platform.network.links.late_at(process.on))
 
     def _hears(self, instance: str, by: str) -> bool:
         """Return whether the line from the host of an instance to that of another one is not cut."""
@@ -262,7 +264,7 @@ class Invariants:
                 self._violation(f"{self._stays(ref)} has had no server for more than {CLIENT_REFLEX:g} s")
             elif now - self._free[ref] > reaction:
                 self._violation(f"{self._stays(ref)} is broken, and the manager does not react")
-            elif now - max(since, self._late_at(process)) > REFLEX and self.oracle.reflex_applies(
+            elif now - max(since, self._counts_from(process)) > REFLEX and self.oracle.reflex_applies(
                 self._shown[ref.instance], ref.functionality, received(process)
             ):
                 self._violation(f"{self._stays(ref)} is broken for more than {REFLEX:g} s")
