@@ -246,18 +246,9 @@ class SimulatedHosts(HostsBackend):
             return SAME_CLOCK
         return ClockOffset(other.system_now() - own.system_now(), round(LATENCY * 1e9), own.system_now())
 
-    async def reach_hosts(
-        self,
-        hosts: Mapping[str, HostSpec],
-        token: str,
-        note: Callable[[str], object],
-        superseded: Callable[[], bool],
-    ) -> Mapping[str, str]:
-        def noted(words: str) -> None:
-            self.reached_at = self.clock.steady()  # a login is not enough: the line may be cut right after it
-            note(words)
-
-        return await super().reach_hosts(hosts, token, noted, superseded)
+    def _link_changed(self, words: str) -> None:
+        self.reached_at = self.clock.steady()  # a login is not enough: the line may be cut right after it
+        super()._link_changed(words)
 
     def _sockets(self) -> Path:
         return Path("simulated")

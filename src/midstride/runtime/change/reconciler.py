@@ -295,8 +295,8 @@ class Reconciler:
                     self.store.remove_instance(name)
             self.store.write_silent(self.system.life.silent)
             degraded = own_degradations(configuration, self.system.life)
-            configuration, touched, because, left = self._take_over_reported(configuration)
-            await self._detach(self._to_detach(left))
+            configuration, touched, because = self._take_over_reported(configuration)
+            await self._detach_left(configuration)
             if not crashed and not degraded and not self.pending and not because:
                 return
             because += (exits[name].words for name in crashed)
@@ -327,8 +327,15 @@ class Reconciler:
         now = self.monitor.clock.steady()
         return [each for each in left if now >= self._detach_at.get(each, 0.0)]
 
-    async def _detach(self, left: Iterable[tuple[PortRef, str]]) -> None:
-        for port, topic in left:
+    async def _detach_left(self, configuration: Configuration) -> None:
+        """Detach the outputs that a hand-over has left behind a closed gate.
+
+        The old side of a cut writes again once the new one cannot (docs/protocols/cut.md), also long after that has
+        handed over to another.
+        """
+        states = [state for name in sorted(configuration.instances) if (state := self.system.life.responsive(name))]
+        left = [each for state in states for each in left_closed(configuration, state)]
+        for port, topic in self._to_detach(left):
             detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
             if await self.client.undo(port.instance, detach):
                 self._detach_at.pop((port, topic), None)
@@ -349,18 +356,14 @@ class Reconciler:
 
     def _take_over_reported(
         self, configuration: Configuration
-    ) -> tuple[Configuration, list[FunctionalityRef], list[str], list[tuple[PortRef, str]]]:
+    ) -> tuple[Configuration, list[FunctionalityRef], list[str]]:
         """The configuration with the attachments that components report, what they concern, and what differed.
 
         They differ where a command timed out and has been carried out all the same, or could not be undone. A better
-        mode is accepted only where it lacks support, and so is about to be left: raising is a plan's affair. Last, the
-        outputs, with their topics, that have handed over and are still there: they are to be detached, since the old
-        side of a cut writes again once the new one cannot (docs/protocols/cut.md), also long after that has handed
-        over to another.
+        mode is accepted only where it lacks support, and so is about to be left: raising is a plan's affair.
         """
         touched: list[FunctionalityRef] = []
         because: list[str] = []
-        left: list[tuple[PortRef, str]] = []
         for name in sorted(configuration.instances):
             state = self.system.life.responsive(name)
             lacking, besides = ([], []) if state is None else changed_attachments(configuration, state)
@@ -374,8 +377,6 @@ class Reconciler:
             if lacking or besides:
                 self.client.accept(name)
                 configuration = with_attachments(configuration, lacking, besides)
-            if state is not None:
-                left += left_closed(configuration, state)
             if state is not None and (better := unsupported_modes(configuration, state)):
                 self.client.accept(name)
                 modes = {ref: configuration.functionality(ref).modes[index].name for ref, index in better.items()}
@@ -384,7 +385,7 @@ class Reconciler:
                 configuration = configuration.with_modes(better)
         for words in because:
             self.events.add("note", f"{words}, by its own report")
-        return configuration, touched, because, left
+        return configuration, touched, because
 
 
 def respond(

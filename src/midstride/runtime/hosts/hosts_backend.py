@@ -233,6 +233,10 @@ class HostsBackend(Backend):
             await asyncio.sleep(interval)
             await self._measure_clocks()
 
+    def _link_changed(self, words: str) -> None:
+        """Report what has become of the link to a host."""
+        self._note(words)
+
     def _link(self, host: HostSpec) -> HostLink:
         order = order_for(self._workspace.name, host, self._own, middleware_settings=self._middleware_settings)
         return HostLink(
@@ -241,7 +245,7 @@ class HostsBackend(Backend):
             self._sockets(),
             lambda: self._token,
             self._exited,
-            lambda words: self._note(words),
+            self._link_changed,
             known=lambda: (*self._here, *self._host_of),
             superseded=lambda: self._superseded(),
             connect=self._connect,

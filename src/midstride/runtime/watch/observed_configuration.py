@@ -90,8 +90,8 @@ def changed_attachments(
 def left_closed(configuration: Configuration, state: ComponentState) -> list[tuple[PortRef, str]]:
     """The outputs, with their topics, that one component has behind a closed gate, and that the model does not have.
 
-    Outside a change they are what is left of a hand-over. A lifecycle node that is inactive has closed gates too, and
-    opens them only when it is told to; a fenced output stays closed.
+    Outside a change they are what is left of a hand-over. An inactive lifecycle node has closed gates too, and opens
+    them only on command; a fenced output stays closed.
     """
     name = state.instance
     if name not in configuration.instances or configuration.component(name).has_lifecycle:
