@@ -35,7 +35,7 @@ out = rospy.Publisher("chatter", String, queue_size=100)
 count, rate = 0, rospy.Rate(50)
 while not rospy.is_shutdown():
     count += 1
-    out.publish(f"{rospy.get_name()} {count} {rospy.get_param('~word')}")
+    out.publish(f"{rospy.get_name()} {count} {rospy.get_param('~say/word')}")
     rate.sleep()
 """
 OURS = """
@@ -62,7 +62,7 @@ topic /chat : std_msgs/msg/String @ 50 Hz
 
 component Talker {
   run "python3 talker.py" gate relay
-  parameters { word = "hello" }
+  parameters { say.word = "hello" }
   output out as chatter
   functionality talk {
     produces out

@@ -124,7 +124,7 @@ class Ros1Backend(processes.ProcessBackend, Backend):
                 command = (*command, f"__name:={split_name(node)[0]}")
             # They are the program's. On its command line, roscpp would take the quotes of a string for a part of it.
             for name, value in _values(launch).items():
-                await master.set_parameter(f"{node}/{name}", value)
+                await master.set_parameter(_parameter(node, name), value)
             launch = replace(launch, parameters={}, set_parameters={})
         environment = self._environment(launch)
         if node != own and launch.foreign is None:
@@ -249,7 +249,7 @@ class Ros1Backend(processes.ProcessBackend, Backend):
             ended.append(f"{full_name(instance)}{RELAY_SUFFIX}")
             with contextlib.suppress(BackendError):
                 order = RelayOrder.read(path)
-                given = [f"{order.node}/{name}" for name in order.stated]
+                given = [_parameter(order.node, name) for name in order.stated]
             path.unlink()
         self._dead.update(ended)
         with contextlib.suppress(BackendError, asyncio.TimeoutError):
@@ -302,3 +302,8 @@ class Ros1Backend(processes.ProcessBackend, Backend):
 
 def _values(launch: Launch) -> dict[str, object]:
     return {**launch.parameters, **launch.set_parameters}
+
+
+def _parameter(node: str, name: str) -> str:
+    """The full name of a parameter of a node: below another one where the specification has a dot."""
+    return f"{node}/{name.replace('.', '/')}"
