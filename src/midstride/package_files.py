@@ -75,7 +75,7 @@ def share(package: str, environment: Mapping[str, str]) -> str:
     prefix = prefix_of(package, environment)
     if prefix is not None:
         return os.path.join(prefix, "share", package)
-    folders = _ros1_folders(environment)
+    folders = ros1_folders(environment)
     sources = packages_below(folders)
     if package in sources:
         return sources[package]
@@ -113,7 +113,7 @@ def owner(path: str, environment: Mapping[str, str]) -> tuple[str, str] | None:
                 package = os.path.relpath(path, above).partition(os.sep)[0]
                 if prefix_of(package, {"AMENT_PREFIX_PATH": base}) is not None:
                     return package, os.path.join(above, package)
-    for above in map(os.path.abspath, _ros1_folders(environment)):
+    for above in map(os.path.abspath, ros1_folders(environment)):
         folder = os.path.dirname(path)
         while _is_below(above, folder) or folder == above:
             if (named := _package_name(folder)) is not None:
@@ -144,7 +144,7 @@ def stride_files(package: str, environment: Mapping[str, str]) -> list[str]:
 
 def packages(environment: Mapping[str, str]) -> list[str]:
     """The names of all packages that can be found."""
-    return sorted({*installed(environment), *packages_below(_ros1_folders(environment))})
+    return sorted({*installed(environment), *packages_below(ros1_folders(environment))})
 
 
 def packages_below(roots: Iterable[str]) -> dict[str, str]:
@@ -174,7 +174,8 @@ def _package_name(folder: str) -> str | None:
     return None if match is None else match[1].decode()
 
 
-def _ros1_folders(environment: Mapping[str, str]) -> list[str]:
+def ros1_folders(environment: Mapping[str, str]) -> list[str]:
+    """The folders below which packages of ROS 1 are."""
     return [folder for folder in environment.get(_OF_ROS1, "").split(os.pathsep) if folder]
 
 

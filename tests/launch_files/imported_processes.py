@@ -30,7 +30,7 @@ LATER = {"include-let.launch.xml", "if-any-or-all.launch.xml"}
 def processes(path: Path, arguments: Mapping[str, str], environment: Mapping[str, str], folder: Path) -> Found:
     """The import of a launch file, written to ``folder``, and the processes of its specification."""
     target = folder / f"{path.name}.stride"
-    imported = import_launch_file(path, arguments, environment, target, run_python=True, run_commands=True)
+    imported = import_launch_file(path, arguments, environment, target, run_python=True, run_commands=True, ros=2)
     target.write_text(imported.text, encoding="utf-8")
     for name, text in imported.parameter_files.items():
         (folder / name).write_text(text, encoding="utf-8")

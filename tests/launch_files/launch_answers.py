@@ -222,13 +222,13 @@ def answer(path: Path, arguments: dict[str, str], prefix: Path) -> dict[str, Any
 def in_python(name: str, prefix: Path, folder: Path) -> list[list[Any]]:
     """What is found in the launch files in Python of a case, if it has any."""
     from midstride.errors import SpecificationError
-    from midstride.launch_files import interpreter
+    from midstride.launch_files import launch_interpreter
     from tests.launch_files.imported_processes import processes
     from tests.launch_files.recorded_python import recording
 
     found: list[list[Any]] = []
     ((path, arguments),) = ((path, arguments) for case, path, arguments in cases() if case == name)
-    with mock.patch.object(interpreter, "carried_out", recording(found, prefix)), suppress(SpecificationError):
+    with mock.patch.object(launch_interpreter, "carried_out", recording(found, prefix)), suppress(SpecificationError):
         processes(path, arguments, dict(os.environ), folder)
     return found
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from midstride.errors import SpecificationError
-from midstride.launch_files import interpreter
+from midstride.launch_files import launch_interpreter
 from midstride.launch_files.launch_import import import_launch_file
 from tests.launch_files.imported_processes import imported
 from tests.launch_files.launch_answers import ANSWERS
@@ -39,7 +39,7 @@ def test_an_import_starts_what_launch_starts_or_says_what_differs(
 ) -> None:
     prefix = prefix_folder(tmp_path)
     monkeypatch.delenv("MADE_UP_UNSET", raising=False)
-    monkeypatch.setattr(interpreter, "carried_out", replaying(DOCUMENT["python"].get(name, []), prefix))
+    monkeypatch.setattr(launch_interpreter, "carried_out", replaying(DOCUMENT["python"].get(name, []), prefix))
     different, said = imported(name, DOCUMENT["answers"], prefix, tmp_path)
     assert said or not different, different
     assert not different or name in DOCUMENT["differing"], (different, said)
@@ -51,7 +51,7 @@ def refused(name: str, folder: Path) -> list[str]:
     prefix = prefix_folder(folder)
     environment = surroundings(prefix, os.environ)
     try:
-        found = import_launch_file(path, arguments, environment, folder / "a.stride")
+        found = import_launch_file(path, arguments, environment, folder / "a.stride", ros=2)
     except SpecificationError as error:
         return [str(error)]
     return [str(each) for each in found.findings if each.kind == "refused"]

@@ -13,7 +13,7 @@ import pytest
 from midstride.errors import SpecificationError
 from midstride.lang.load import load_text
 from midstride.lang.source_files import INCLUDE_PATH
-from midstride.launch_files import interpreter, python_files
+from midstride.launch_files import launch_interpreter, python_files
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.launch_import import import_launch_file
 from midstride.model.component import StopTimes
@@ -497,7 +497,7 @@ def test_nodes_of_a_launch_file_in_python(tmp_path: Path, monkeypatch: pytest.Mo
         asked.append((Path(path).name, given))
         return described
 
-    monkeypatch.setattr(interpreter, "carried_out", carried_out)
+    monkeypatch.setattr(launch_interpreter, "carried_out", carried_out)
     (tmp_path / "b.launch.py").write_text("one\ntwo\n")
     (tmp_path / "a.yaml").write_text("/**:\n  ros__parameters:\n    gain: 2\n")
     (tmp_path / "a.launch.xml").write_text(
@@ -520,7 +520,7 @@ def test_a_node_of_a_launch_file_in_python_is_named_as_one_in_xml(
 ) -> None:
     node = {"type": "Node", "executable": "./2d-driver.py", "words": ["./2d-driver.py"]}
     described = found_in_python(tmp_path / "a.launch.py", node)
-    monkeypatch.setattr(interpreter, "carried_out", lambda *_: described)
+    monkeypatch.setattr(launch_interpreter, "carried_out", lambda *_: described)
     (tmp_path / "a.launch.py").write_text("")
     found = import_launch_file(tmp_path / "a.launch.py", {}, {}, None, run_python=True)
     in_xml = of_xml(tmp_path, '<node exec="./2d-driver.py"/>')
@@ -533,7 +533,7 @@ def test_a_command_for_a_shell_in_python_is_called_by_its_program(
 ) -> None:
     words = ["/opt/map_tool --ros-args -r out:=/c"]
     described = found_in_python(tmp_path / "a.launch.py", {"type": None, "words": words, "shell": True})
-    monkeypatch.setattr(interpreter, "carried_out", lambda *_: described)
+    monkeypatch.setattr(launch_interpreter, "carried_out", lambda *_: described)
     (tmp_path / "a.launch.py").write_text("")
     found = import_launch_file(tmp_path / "a.launch.py", {}, {}, None, run_python=True)
     assert commands(found, tmp_path) == {"map_tool": f"sh -c '{words[0]}'"}
@@ -545,7 +545,7 @@ def test_what_names_its_own_folder_after_a_file_in_python_differs_in_launch_and_
     (tmp_path / "other").mkdir()
     included = tmp_path / "other" / "b.launch.py"
     included.write_text("")
-    monkeypatch.setattr(interpreter, "carried_out", lambda *_: found_in_python(included))
+    monkeypatch.setattr(launch_interpreter, "carried_out", lambda *_: found_in_python(included))
     file = tmp_path / "a.launch.xml"
     include = '<include file="$(dirname)/other/b.launch.py"/>'
     for before, expected in (("", 0), (include, 1)):
@@ -624,21 +624,6 @@ def test_the_name_of_an_executable_is_a_label_and_no_name_of_a_node(tmp_path: Pa
     first, second = (finding.message for finding in found.findings)
     assert "`./bin/talker` is started as the node of `shown`, which names itself" in first
     assert "`./bin/other` is started as the node `own`" in second
-
-
-def test_a_launch_file_of_ros_1_is_called_one(tmp_path: Path) -> None:
-    node = '<node pkg="p" type="a" name="a"/>'
-    for body in (
-        node,
-        '<rosparam command="load" file="x.yaml"/>',
-        f"<group>{node}</group>",
-        '<param name="a" value="1"/>',
-    ):
-        with pytest.raises(SpecificationError, match="a launch file of ROS 1"):
-            of_xml(tmp_path, body)
-    (tmp_path / "old.launch").write_text(f"<launch>{node}</launch>")
-    found = of_xml(tmp_path, '<include file="$(dirname)/old.launch"/><node exec="./b" name="b"/>')
-    assert "a launch file of ROS 1" in str(next(iter(found.findings))) and found.nodes == 1
 
 
 def test_a_section_with_the_name_of_a_node_and_another_namespace_is_named_as_a_mistake(tmp_path: Path) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 from midstride.lang.source import Span
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.packages import Packages
+from midstride.model.component import ParameterValue
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,13 +19,22 @@ class ParametersGiven:
     """Parameters that launch gives to a node's process: a file at a path, one that launch writes, or one parameter.
 
     ``path``: of a file that is there; ``text``: that of the file, if it is not what is at the path.
-    ``rule``: NAME:=VALUE, which follows ``-p``. ``span``: where it is stated.
+    ``rule``: NAME:=VALUE, which follows ``-p``. ``values``: of the node alone, by dotted name, which ROS does not read
+    from any text. ``span``: where it is stated.
     """
 
     span: Span
     path: str | None = None
     text: str | None = None
     rule: str | None = None
+    values: Mapping[str, ParameterValue] | None = None
+
+
+class Stated(NamedTuple):
+    """A value of the parameter server, and where it is stated."""
+
+    value: Any
+    span: Span
 
 
 @dataclass(slots=True)
@@ -123,3 +134,33 @@ class Context:
         if not os.path.isabs(path):
             raise UnknownValue(f"`{path}` is relative to the folder in which launch is started")
         return self.files.source(os.path.normpath(path)).text
+
+
+@dataclass(slots=True)
+class RoslaunchContext(Context):
+    """A scope of roslaunch.
+
+    ``declared``: the arguments that are declared in it; with ``replaces``, one may be declared and set once more.
+    ``private``: the parameters that all nodes which follow have.
+    """
+
+    declared: set[str] = field(default_factory=set)
+    replaces: bool = False
+    private: dict[str, Stated] = field(default_factory=dict)
+
+    def inner(self, namespace: str | None) -> RoslaunchContext:
+        """A scope in this one. Once it has any, the private parameters are shared with it."""
+        return replace(
+            self,
+            namespace=namespace,
+            variables=dict(self.variables),
+            remaps=list(self.remaps),
+            variables_set=dict(self.variables_set),
+            declared=set(self.declared),
+            private=self.private or {},
+            replaces=False,
+        )
+
+    def add_remap(self, old: str, new: str) -> None:
+        """Have ``old`` renamed for the nodes that follow, whatever it was before."""
+        self.remaps = [*((each, to) for each, to in self.remaps if each != old), (old, new)]

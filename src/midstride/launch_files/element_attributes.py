@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
+import shlex
+from typing import Final
 
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context
@@ -12,6 +15,8 @@ from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.launch_grammar import BOTH_CONDITIONS, text_of
 from midstride.launch_files.substitutions import substituted, truth, typed_truth
 from midstride.launch_files.values import plain
+
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 class ElementAttributes:
@@ -37,9 +42,13 @@ class ElementAttributes:
                     return False
         return True
 
+    def substituted(self, text: str, context: Context) -> str:
+        """``text`` with the values of its substitutions. Raises UnknownValue."""
+        return substituted(text, context)
+
     def text(self, entity: Entity, attribute: str, context: Context) -> str:
         """The value of an attribute, with its substitutions carried out. Raises UnknownValue."""
-        return substituted(text_of(entity, attribute), context)
+        return self.substituted(text_of(entity, attribute), context)
 
     def variable_name(self, entity: Entity, context: Context) -> str:
         """The name of a variable of the environment. Raises UnknownValue."""
@@ -51,7 +60,7 @@ class ElementAttributes:
     def boolean(self, entity: Entity, attribute: str, context: Context, otherwise: bool) -> bool:
         """Raises UnknownValue."""
         value = entity.attributes.get(attribute, otherwise)
-        return value if isinstance(value, bool) else typed_truth(substituted(plain(value), context))
+        return value if isinstance(value, bool) else typed_truth(self.substituted(plain(value), context))
 
     def flag(self, entity: Entity, attribute: str, otherwise: bool) -> bool:
         """Return whether an attribute is set in which launch carries out no substitution: any text there sets it.
@@ -83,3 +92,26 @@ class ElementAttributes:
             message = f"`{text}` is relative to the folder in which launch is started; here, to that of the launch file"
             self.findings.add("include", message, entity.span, left_out=False)
         return path
+
+    def joined(self, base: str | None, more: str | None) -> str | None:
+        """``more`` in the namespace ``base``, as an absolute one; None if there is neither. Raises UnknownValue."""
+        if more is None:
+            return base
+        parts = more if more.startswith("/") else f"{(base or '').rstrip('/')}/{more}"
+        self.namespace(parts)
+        return parts.rstrip("/") or "/"
+
+    def namespace(self, stated: str | None) -> str:
+        """Without outer slashes. Raises UnknownValue."""
+        found = (stated or "").strip("/")
+        if "//" in (stated or "") or (found and not all(_NAME.fullmatch(part) for part in found.split("/"))):
+            raise UnknownValue(f"`{stated}` is not a namespace", "name")
+        return found
+
+
+def command_words(text: str) -> list[str]:
+    """The words of a command, as a shell splits it. Raises UnknownValue."""
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise UnknownValue(f"a command cannot be split into words: {error}", "unsupported") from None

@@ -20,6 +20,8 @@ _OF_PACKAGES: Final = {
     "ros_ign_gazebo": {"create", "remove"},
     "gazebo_ros": {"spawn_entity.py", "spawn_model"},
 }
+# The same in ROS 1, where a spawner of controllers keeps running, and unloads them when it is ended.
+_OF_ROS_1: Final = {"gazebo_ros": {"spawn_model"}}
 # Commands that end, whatever their arguments are.
 _COMMANDS: Final = set(
     """true false echo printf mkdir rmdir cp mv rm ln touch chmod chown kill killall pkill sleep date test xacro
@@ -58,6 +60,8 @@ def _command_ends(program: str, arguments: Sequence[str]) -> bool:
     name = PurePosixPath(program).name
     if name in _COMMANDS:
         return True
+    if name == "rosrun" and len(arguments) > 1:
+        return arguments[1] in _OF_ROS_1.get(arguments[0], ())
     if name == "ros2" and arguments[:1] == ["run"] and len(arguments) > 2:
         return arguments[2] in _OF_PACKAGES.get(arguments[1], ())
     if name == "ros2" and arguments[:2] == ["topic", "pub"]:

@@ -29,7 +29,8 @@ class Entity:
     """An element: its attributes, and its nested elements in order. ``typed``: values have types, as in YAML.
 
     There, an element may be a list of nested ones, or have them in ``children`` (``has_children``), or have a value
-    instead of either; and some are ``listed`` under a key of their own.
+    instead of either; and some are ``listed`` under a key of their own. ``text``: what an element of XML has in it
+    beside nested elements.
     """
 
     tag: str
@@ -40,6 +41,7 @@ class Entity:
     form: Literal["element", "mapping", "list", "value"] = "element"
     has_children: bool = False
     listed: bool = False
+    text: str = ""
 
     def named(self, *tags: str) -> Iterator[Entity]:
         """The nested elements with one of these tags."""
@@ -67,10 +69,15 @@ def _from_xml(source: Source) -> Entity:
         stack[-1].children.append(entity)
         stack.append(entity)
 
+    def text(data: str) -> None:
+        stack[-1].text += data
+
     def refuse(*_: Any) -> None:
         raise NotALaunchFile("it has a document type declaration")
 
+    parser.buffer_text = True
     parser.StartElementHandler = start
+    parser.CharacterDataHandler = text
     parser.EndElementHandler = lambda _: stack.pop()
     parser.StartDoctypeDeclHandler = refuse
     try:

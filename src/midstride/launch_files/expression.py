@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from midstride.launch_files.findings import UnknownValue
@@ -63,65 +63,69 @@ _METHODS: Final = frozenset(
 _OF_SETS: Final = frozenset("difference intersection issubset issuperset union".split())
 
 
-def evaluate(text: str) -> str:
-    """The value of an expression as text. Raises UnknownValue."""
+def evaluate(text: str, names: Mapping[str, Any] | None = None) -> str:
+    """The value of an expression as text. ``names``: what it may use beside the functions. Raises UnknownValue."""
     if len(text) > MAX_TEXT:
         raise UnknownValue("the expression is too long")
     try:
-        return _shown(_bounded(_value(ast.parse(text.strip(), mode="eval").body)))
+        return _shown(_bounded(_value(ast.parse(text.strip(), mode="eval").body, {**_NAMES, **(names or {})})))
     except UnknownValue:
         raise
     except (SyntaxError, ValueError, TypeError, ArithmeticError, LookupError, RecursionError, MemoryError) as error:
         raise UnknownValue(f"the expression `{shortened(text)}` has no value ({type(error).__name__})") from None
 
 
-def _value(node: ast.expr) -> Any:
+def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
     match node:
         case ast.Constant(value=str() | bool() | int() | float() | None as value):
             return value
         case ast.List(elts=elements):
-            return [_value(element) for element in elements]
+            return [_value(element, names) for element in elements]
         case ast.Tuple(elts=elements):
-            return tuple(_value(element) for element in elements)
+            return tuple(_value(element, names) for element in elements)
         case ast.Set(elts=elements):
-            return frozenset(_value(element) for element in elements)
-        case ast.Name(id=name) if name in _NAMES:
-            return _NAMES[name]
+            return frozenset(_value(element, names) for element in elements)
+        case ast.Name(id=name) if name in names:
+            if isinstance(names[name], UnknownValue):
+                raise names[name]
+            return names[name]
         case ast.BoolOp(op=op, values=values):
             stop = isinstance(op, ast.Or)
             result: Any = None
             for each in values:
-                result = _value(each)
+                result = _value(each, names)
                 if bool(result) is stop:
                     break
             return result
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-            return _UNARY[type(op)](_value(operand))
+            return _UNARY[type(op)](_value(operand, names))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            return _bounded(_computed(op, _value(left), _value(right)))
+            return _bounded(_computed(op, _value(left, names), _value(right, names)))
         case ast.Compare(left=first, ops=ops, comparators=others) if all(type(op) in _COMPARE for op in ops):
-            values = [_value(each) for each in (first, *others)]
+            values = [_value(each, names) for each in (first, *others)]
             return all(_COMPARE[type(op)](values[i], values[i + 1]) for i, op in enumerate(ops))
         case ast.IfExp(test=test, body=body, orelse=otherwise):
-            return _value(body if _value(test) else otherwise)
+            return _value(body if _value(test, names) else otherwise, names)
         case ast.Subscript(value=of, slice=ast.Slice(lower=lower, upper=upper, step=step)):
-            return _value(of)[slice(*(None if each is None else _value(each) for each in (lower, upper, step)))]
+            return _value(of, names)[
+                slice(*(None if each is None else _value(each, names) for each in (lower, upper, step)))
+            ]
         case ast.Subscript(value=of, slice=index):
-            return _value(of)[_value(index)]
+            return _value(of, names)[_value(index, names)]
         case ast.Attribute(value=ast.Name(id="math"), attr=name) if name in _MATH:
             return _MATH[name]
         case ast.Call(func=ast.Attribute(value=of, attr=method), args=arguments, keywords=[]) if method in _METHODS:
-            text, values = _value(of), [_value(each) for each in arguments]
+            text, values = _value(of, names), [_value(each, names) for each in arguments]
             if isinstance(text, str):
                 return _bounded(_called(text, method, values))
         case ast.Call(func=ast.Attribute(value=of, attr=method), args=arguments, keywords=[]) if method in _OF_SETS:
-            members = _value(of)
+            members = _value(of, names)
             if isinstance(members, frozenset):
-                return getattr(members, method)(*(_value(each) for each in arguments))
+                return getattr(members, method)(*(_value(each, names) for each in arguments))
         case ast.Call(func=function, args=arguments, keywords=[]):
-            called = _value(function)
+            called = _value(function, names)
             if callable(called):
-                return _bounded(called(*(_value(each) for each in arguments)))
+                return _bounded(called(*(_value(each, names) for each in arguments)))
     raise UnknownValue(f"`{shortened(ast.unparse(node))}` is not among the expressions that are evaluated here")
 
 

@@ -25,6 +25,7 @@ KINDS: Final = {
     "lifecycle": "a lifecycle manager manages nodes, and goes on, or Midstride does, as of a node that no manager has",
     "once": "a program ends when it has done its work, and launch lets it: it is `once`, and not run again",
     "program": "the launch file does not say that a program is a node",
+    "host": "a machine of a launch file becomes a host, or something of it is left out",
     "restart": "a process is restarted in another way, or without end, as launch does",
     "refused": "ROS's launch refuses the whole launch file for it; here the rest is read",
     "unsupported": "an element or an attribute has no counterpart and is left out",
@@ -73,9 +74,10 @@ class ImportFinding:
 
 
 class ImportFindings:
-    """The findings of one import, each once, in the order in which they are met."""
+    """The findings of one import, each once, in the order in which they are met. ``launcher``: what starts the file."""
 
-    def __init__(self) -> None:
+    def __init__(self, launcher: str = "launch") -> None:
+        self._launcher = launcher
         self._found: dict[tuple[object, ...], ImportFinding] = {}
         self._refused: set[tuple[str, int, str]] = set()
 
@@ -85,9 +87,10 @@ class ImportFindings:
         self._found.setdefault((str(finding), span.source.name, span.start), finding)
 
     def refuse(self, reason: str, span: Span, left_out: bool = False, of: str = "") -> None:
-        """Name something for which launch refuses the launch file; ``of``: of what."""
+        """Name something for which the launcher refuses the launch file; ``of``: of what."""
         self._refused.add((span.source.name, span.start, reason))
-        self.add("refused", f"launch refuses this file: {f'{of}: ' if of else ''}{reason}", span, left_out)
+        what = f"{of}: {reason}" if of else reason
+        self.add("refused", f"{self._launcher} refuses this file: {what}", span, left_out)
 
     def leave_out(self, what: str, error: UnknownValue, span: Span) -> None:
         """Name something that is left out because of ``error``, unless launch refuses the launch file for just that."""

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from midstride.lang.source import Span
-from midstride.launch_files.context import ParametersGiven
+from midstride.launch_files.context import ParametersGiven, Stated
 from midstride.model.component import ContainerProgram
+from midstride.model.hosts import HostSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,8 @@ class LaunchedNode:
     for any other node. ``container``: the program that loads a composable node, whose class is the first word of
     ``command``, and ``extra`` what only containers take (``NAME:=VALUE``). ``shares``: the name of the container
     that it is in with others, with its namespaces; empty where it has one for itself. ``launched_role``: its role in
-    launch, where it has another one here, by which sections of parameter files are for it; else empty.
+    launch, where it has another one here, by which sections of parameter files are for it; else empty. ``host``: where
+    it runs; empty for the host of the manager.
     """
 
     name: str
@@ -55,6 +57,7 @@ class LaunchedNode:
     extra: tuple[str, ...] = ()
     shares: str = ""
     launched_role: str = ""
+    host: str = ""
 
     @property
     def role(self) -> str:
@@ -90,10 +93,13 @@ class LaunchedSystem:
     """The system that a launch file starts: processes, and the nodes that are ``loaded`` into containers.
 
     ``files``: how many launch files were read. A loaded node that is taken over is among the ``nodes``. ``containers``:
-    those that several nodes share, by name.
+    those that several nodes share, by name; ``hosts`` likewise. ``server``: what of the parameter server of ROS 1 no
+    node has, or the language cannot state, by full name.
     """
 
     nodes: list[LaunchedNode] = field(default_factory=list)
     loaded: list[LoadedNode] = field(default_factory=list)
     files: int = 0
     containers: dict[str, LaunchedContainer] = field(default_factory=dict)
+    hosts: dict[str, HostSpec] = field(default_factory=dict)
+    server: dict[str, Stated] = field(default_factory=dict)

@@ -242,7 +242,7 @@ class ParameterReader:
             for name in section.values
         }
         of_files = {each.path: found for each, found in given if self._is_named(each)}
-        stated = [of_files[each] if isinstance(each, str) else _for_all(each, node.span) for each in statements]
+        stated = [of_files[each] if isinstance(each, str) else _stated(FOR_ALL, each, node.span) for each in statements]
         names, others = [], []
         for section in (section for each, found in given if each.path is not None for section in found.sections):
             role = section.pattern.strip("/")
@@ -275,6 +275,8 @@ class ParameterReader:
             self._findings.add("parameters", message, node.span, left_out=False)
 
     def _read(self, given: ParametersGiven, node: LaunchedNode) -> _Read | None:
+        if given.values is not None:
+            return _stated(f"/{node.launched_role or node.role}", given.values, given.span)
         if given.rule is not None:
             return self._of_rule(given.rule, given.span, node)
         key = given.path or "", given.text
@@ -324,10 +326,10 @@ class ParameterReader:
         return f"`{name}` is left out: line {refused.position[0]} is not of a parameter file that can be read"
 
 
-def _for_all(values: Mapping[str, ParameterValue], span: Span) -> _Read:
-    """The equivalent of a parameter file with values for all nodes."""
-    section = SectionInFile(FOR_ALL, span, {name: ParameterValueAt(value, span) for name, value in values.items()})
-    return _Read(Source("parameters", written_file(FOR_ALL, values)), [section])
+def _stated(pattern: str, values: Mapping[str, ParameterValue], span: Span) -> _Read:
+    """The equivalent of a parameter file with values for the nodes that ``pattern`` matches."""
+    section = SectionInFile(pattern, span, {name: ParameterValueAt(value, span) for name, value in values.items()})
+    return _Read(Source("parameters", written_file(pattern, values)), [section])
 
 
 def _overlap(parts: Sequence[SectionInFile]) -> bool:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 from collections.abc import Iterator
 from contextlib import suppress
-from typing import Any, Final
+from typing import Any
 
 from midstride.lang.source import Span
 from midstride.launch_files.context import Context, ParametersGiven
-from midstride.launch_files.element_attributes import ElementAttributes
+from midstride.launch_files.element_attributes import command_words
 from midstride.launch_files.entity import Entity
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import UnknownValue
+from midstride.launch_files.interpreter import Interpreter
 from midstride.launch_files.launch_grammar import not_from_0, text_of
 from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedRespawn
 from midstride.launch_files.launched_parameters import written_file
@@ -23,10 +23,8 @@ from midstride.launch_files.substitutions import performed, substituted, typed_t
 from midstride.launch_files.values import value_of
 from midstride.model.component_rules import MAX_NUMBER
 
-_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
-
-class NodeAttributes(ElementAttributes):
+class NodeAttributes(Interpreter[Context]):
     """Reads what elements state of processes; what of that is left out is noted in ``findings``."""
 
     def words(self, entity: Entity, attribute: str, context: Context) -> list[str]:
@@ -54,10 +52,10 @@ class NodeAttributes(ElementAttributes):
         """The words before the program: its own, or those that the variable `launch-prefix` has for all processes."""
         try:
             if "launch-prefix" in entity.attributes:
-                return _split(self.text(entity, "launch-prefix", context))
+                return command_words(self.text(entity, "launch-prefix", context))
             text = context.variable("launch-prefix", "")
             applies = re.match(context.variable("launch-prefix-filter", ""), os.path.basename(node.command[0]))
-            return _split(text) if applies else []
+            return command_words(text) if applies else []
         except (UnknownValue, re.error) as error:
             kind = error.kind if isinstance(error, UnknownValue) else "unsupported"
             self.findings.add(kind, f"`launch-prefix` of `{node.role}` is left out: {error}", entity.span)
@@ -78,7 +76,7 @@ class NodeAttributes(ElementAttributes):
             stated = entity.attributes.get(attribute, context.variables.get(attribute))
             if attribute in entity.attributes and isinstance(stated, str):
                 try:
-                    stated = substituted(stated, context)
+                    stated = self.substituted(stated, context)
                 except UnknownValue as error:
                     self.findings.leave_out(f"`{attribute}` of a node", error, entity.span)
                     continue
@@ -153,21 +151,6 @@ class NodeAttributes(ElementAttributes):
             values |= self._values(each, context)
         return {name: values}
 
-    def joined(self, base: str | None, more: str | None) -> str | None:
-        """``more`` in the namespace ``base``, as an absolute one; None if there is neither. Raises UnknownValue."""
-        if more is None:
-            return base
-        parts = more if more.startswith("/") else f"{(base or '').rstrip('/')}/{more}"
-        self.namespace(parts)
-        return parts.rstrip("/") or "/"
-
-    def namespace(self, stated: str | None) -> str:
-        """Without outer slashes. Raises UnknownValue."""
-        found = (stated or "").strip("/")
-        if "//" in (stated or "") or (found and not all(_NAME.fullmatch(part) for part in found.split("/"))):
-            raise UnknownValue(f"`{stated}` is not a namespace", "name")
-        return found
-
 
 def _seconds(stated: object) -> float | None:
     """A number from 0 that the language has; None where ``stated`` is none."""
@@ -175,11 +158,3 @@ def _seconds(stated: object) -> float | None:
         if isinstance(stated, (int, float, str)) and 0 <= (found := float(stated)) <= MAX_NUMBER:
             return found
     return None
-
-
-def _split(text: str) -> list[str]:
-    """Raises UnknownValue."""
-    try:
-        return shlex.split(text)
-    except ValueError as error:
-        raise UnknownValue(f"a command cannot be split into words: {error}", "unsupported") from None

@@ -17,9 +17,10 @@ from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.entity import Entity
 from midstride.launch_files.expression import shortened
 from midstride.launch_files.findings import ImportFindings, UnknownValue
+from midstride.launch_files.interpreter import stem
 from midstride.launch_files.launch_grammar import text_of
 from midstride.launch_files.launched_containers import Containers, left_out
-from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedRespawn, LaunchedSystem, LoadedNode
+from midstride.launch_files.launched_nodes import LaunchedNode, LaunchedRespawn, LoadedNode
 from midstride.launch_files.launched_parameters import written_file
 from midstride.launch_files.node_attributes import NodeAttributes
 from midstride.launch_files.ros_arguments import split_ros_arguments, words_of
@@ -27,22 +28,26 @@ from midstride.launch_files.substitutions import performed
 from midstride.model.component import DEFAULT_CONTAINER
 from midstride.model.load_words import extra_argument
 
-_NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 # Where launch writes what a process prints, which changes nothing that a node does.
 _OUTPUTS: Final = ("screen", "log", "both", "own_log", "full")
 
 
 class NodeElements(NodeAttributes):
-    """Notes processes in ``system``, and in ``findings`` what was left out or assumed.
+    """Notes the processes that launch files of ROS 2 start.
 
     ``later``: why what is met now is started after the others, and how long after them (s), if it is. ``containers``:
     what becomes of composable nodes.
     """
 
-    def __init__(self, files: ReadableFiles, findings: ImportFindings, containers: Containers = "keep") -> None:
-        super().__init__(files, findings)
+    def __init__(
+        self,
+        files: ReadableFiles,
+        findings: ImportFindings,
+        arguments: Mapping[str, str],
+        containers: Containers = "keep",
+    ) -> None:
+        super().__init__(files, findings, arguments)
         self._containers = containers
-        self.system = LaunchedSystem()
         self.later: tuple[str, float] | None = None
 
     # -- what starts a process -------------------------------------------------------------------------------
@@ -51,7 +56,7 @@ class NodeElements(NodeAttributes):
         """Raises UnknownValue."""
         program = self.text(entity, "exec", context)
         package = self.text(entity, "pkg", context) if "pkg" in entity.attributes else ""
-        self._check_package(package, program, entity.span, context)
+        self.check_package(package, program, entity.span, context)
         stated = self.text(entity, "name", context) if "name" in entity.attributes else None
         own = self.text(entity, "namespace", context) if "namespace" in entity.attributes else None
         namespace = self.joined(context.namespace, own)
@@ -61,9 +66,9 @@ class NodeElements(NodeAttributes):
         arguments, ros = split_ros_arguments(words)
         named = ros.name or stated or None  # the first rule for a name applies, and arguments come first
         node = LaunchedNode(
-            name=self._name(named, _stem(program), entity.span),
+            name=self.node_name(named, stem(program), entity.span),
             namespace=self.namespace(ros.namespace if ros.namespace is not None else namespace),
-            program=_stem(program),
+            program=stem(program),
             command=(program, *arguments),
             span=entity.span,
             remaps=(*ros.remaps, *context.remaps, *self.remaps(entity, context)),
@@ -96,8 +101,8 @@ class NodeElements(NodeAttributes):
         script = (number for number, word in enumerate(command) if number and not word.startswith("-"))
         last = next(script, 0) if "python" in command[0] else 0
         # One word with blanks is for a shell.
-        program = _stem(command[last] if len(command) > 1 else command[last].split(maxsplit=1)[0])
-        name = self._name(ros.name or label or program, program, span)
+        program = stem(command[last] if len(command) > 1 else command[last].split(maxsplit=1)[0])
+        name = self.node_name(ros.name or label or program, program, span)
         what = shlex.join(command[: last + 1])
         known = f"the node `{name}`" if ros.name else f"the node of `{name}`, which names itself"
         node = LaunchedNode(
@@ -120,7 +125,7 @@ class NodeElements(NodeAttributes):
     def _in_package(self, command: list[str], context: Context) -> tuple[str, list[str]]:
         """The package of a program that is named by its path, or run by `ros2 run`, and the rest of the command."""
         if command[:2] == ["ros2", "run"] and len(command) > 3 and not command[2].startswith("-"):
-            self._check_package(command[2], command[3], None, context)
+            self.check_package(command[2], command[3], None, context)
             return command[2], command[3:]
         for prefix in prefixes(context.environment):
             folder = os.path.join(prefix, "lib", "")
@@ -188,16 +193,16 @@ class NodeElements(NodeAttributes):
 
     def _python_node(self, found: Mapping[str, Any], span: Span, context: Context) -> LaunchedNode:
         package, program = found["package"], found["executable"]
-        self._check_package(package, program, span, context)
+        self.check_package(package, program, span, context)
         arguments, ros = split_ros_arguments(found["words"][1:])
         settings = []
         for given in self.given_by_arguments(ros, span):
             text = found["texts"].get(given.path)
             settings.append(given if text is None else ParametersGiven(span, text=text))
         return LaunchedNode(
-            name=self._name(ros.name, _stem(program), span),
+            name=self.node_name(ros.name, stem(program), span),
             namespace=self.namespace(ros.namespace),
-            program=_stem(program),
+            program=stem(program),
             command=(program, *arguments),
             span=span,
             remaps=tuple(ros.remaps),
@@ -289,7 +294,7 @@ class NodeElements(NodeAttributes):
             message = f"the component `{plugin}` has no name here, so its class gives it one; it is named `{name}`"
             self.findings.add("name", message, span, left_out=False)
         return LaunchedNode(
-            name=self._name(name, of_class, span),
+            name=self.node_name(name, of_class, span),
             namespace=self.namespace(namespace),
             program=of_class,
             command=(plugin,),
@@ -345,29 +350,6 @@ class NodeElements(NodeAttributes):
             node = replace(node, later=how, at=at)
         self.system.nodes.append(node)
 
-    def _check_package(self, package: str, program: str, span: Span | None, context: Context) -> None:
-        if not package or span is None:
-            return
-        if package not in context.packages:
-            self.findings.add_once("package", f"package `{package}` is not here", span)
-        elif context.packages.is_installed(package):
-            try:
-                context.packages.executable(package, program)
-            except UnknownValue as error:
-                self.findings.add("package", str(error), span, left_out=False)
-
-    def _name(self, stated: str | None, program: str, span: Span) -> str:
-        """The name of a node, which its program gives it where none is ``stated``; with the characters of a name."""
-        text = program if stated is None else stated
-        name = _NOT_IN_NAMES.sub("_", text)
-        name = name if name[:1].isalpha() or name[:1] == "_" else f"node_{name}"
-        if stated is None:
-            message = f"the node has no name here, so its program gives it one; the specification calls it `{name}`"
-            self.findings.add("name", message, span, left_out=False)
-        elif name != text:
-            self.findings.add("name", f"`{text}` is not the name of a node; it is named `{name}`", span, left_out=False)
-        return name
-
 
 def _gate(state: str) -> str:
     """The gate of a node whose lifecycle has a ``state``, or that has none: Midstride manages it unless others do."""
@@ -382,7 +364,3 @@ def _section(namespace: str | None, name: str | None) -> str:
 def _in_words(value: object) -> str:
     """The value of an extra argument, as `ros2 component load` reads it."""
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _stem(path: str) -> str:
-    return os.path.splitext(os.path.basename(path))[0]

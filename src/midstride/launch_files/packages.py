@@ -9,7 +9,8 @@ from functools import cached_property
 from midstride.ament_index import executable, prefix_of, prefixes
 from midstride.errors import StartFailed
 from midstride.launch_files.findings import UnknownValue
-from midstride.package_files import PACKAGE_NAME, packages_below
+from midstride.model.near_miss import did_you_mean
+from midstride.package_files import MAX_FOLDERS, PACKAGE_NAME, packages_below, ros1_folders
 
 
 class Packages:
@@ -63,3 +64,47 @@ class Packages:
     @cached_property
     def _sources(self) -> dict[str, str]:
         return packages_below(self._folders)
+
+
+class RosPackagePath(Packages):
+    """Packages of ROS 1: those below ROS_PACKAGE_PATH in ``environment``, and those below ``folders``."""
+
+    def __init__(self, environment: Mapping[str, str], folders: Sequence[str]) -> None:
+        super().__init__(environment, [*ros1_folders(environment), *folders])
+
+    def executable(self, package: str, name: str) -> str:
+        folder, known = self.share(package), set[str]()
+        if installed := self.installed_executable(package, name):
+            return installed
+        for number, (where, inner, files) in enumerate(os.walk(folder)):
+            if number > MAX_FOLDERS:
+                break
+            inner[:] = sorted(each for each in inner if not each.startswith("."))
+            found = {each: os.path.join(where, each) for each in files if _can_be_run(os.path.join(where, each))}
+            if name in found:
+                return found[name]
+            known |= found.keys()
+        help = did_you_mean(name, known)
+        message = f"package `{package}` has no executable `{name}` in {folder}"
+        raise UnknownValue(f"{message}; {help}" if help else message, "package")
+
+    def installed_executable(self, package: str, name: str) -> str | None:
+        """The path of an executable that catkin has put in `lib/PACKAGE`; None where there is none."""
+        share = os.path.dirname(self.share(package))
+        beside = [os.path.dirname(share)] if os.path.basename(share) == "share" else []
+        prefixes = [*beside, *self.environment.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)]
+        paths = (os.path.join(prefix, "lib", package, name) for prefix in prefixes if prefix)
+        return next(filter(_can_be_run, paths), None)
+
+    def is_installed(self, name: str) -> bool:
+        return name in self
+
+    def installed_folders(self) -> list[str]:
+        return ros1_folders(self.environment)
+
+    def _installed(self, name: str) -> str | None:
+        return None
+
+
+def _can_be_run(path: str) -> bool:
+    return os.path.isfile(path) and os.access(path, os.X_OK)

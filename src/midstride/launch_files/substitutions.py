@@ -211,24 +211,35 @@ def _environment(context: Context, values: Sequence[str]) -> str:
 
 def _command(context: Context, values: Sequence[str]) -> str:
     """The output of a program, as ``launch.substitutions.Command`` has it."""
-    shown, on_errors = shortened(values[0]), values[1] if len(values) > 1 else "fail"
-    if not context.run_commands:
-        raise UnknownValue(f"`$(command …)` runs a program, `{shown}`; `--run-commands` carries it out", "command")
-    if on_errors not in {"fail", "ignore", "warn", "capture"}:
+    on_errors = values[1] if len(values) > 1 else "fail"
+    if context.run_commands and on_errors not in {"fail", "ignore", "warn", "capture"}:
+        shown = shortened(values[0])
         raise UnknownValue(f"`{shortened(on_errors)}` is not a way to treat what `{shown}` writes to its errors")
+    output, errors = command_output(values[0], context, "`$(command …)`", on_errors == "fail")
+    return output + (errors if on_errors == "capture" else "")
+
+
+def command_output(text: str, context: Context, what: str, no_errors: bool) -> tuple[str, str]:
+    """The output and the errors of a command that ``what`` states. Raises UnknownValue.
+
+    ``no_errors``: it fails also by writing to its errors.
+    """
+    shown = shortened(text)
+    if not context.run_commands:
+        raise UnknownValue(f"{what} runs a program, `{shown}`; `--run-commands` carries it out", "command")
     try:
-        words = shlex.split(values[0])
+        words = shlex.split(text)
         done = run_command(words, context.environment) if words else None
     except (OSError, ValueError, TimeoutError) as error:
         raise UnknownValue(f"`{shown}` has failed: {error}", "command") from None
     if done is None:
-        raise UnknownValue("`$(command …)` has no command")
+        raise UnknownValue(f"{what} has no command")
     status, output, errors = done
-    if status != 0 or (errors and on_errors == "fail"):
+    if status != 0 or (errors and no_errors):
         said = (errors.strip().splitlines() or [f"exit status {status}"])[-1]
         what = f"exit status {status}: {said}" if status else f"it has written to its errors: {said}"
         raise UnknownValue(f"`{shown}` has failed: {shortened(what)}", "command")
-    return output + (errors if on_errors == "capture" else "")
+    return output, errors
 
 
 def _found_executable(context: Context, values: Sequence[str]) -> str:

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from midstride.lang.printer import format_text
+from midstride.lang.source import Span
 from midstride.lang.source_files import include_folders
 from midstride.lang.token_stream import RESERVED
+from midstride.launch_files.dialects import Ros
 from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_managers import with_one_manager
@@ -25,6 +27,7 @@ from midstride.launch_files.launched_parameters import (
     ParameterReader,
     written_file,
 )
+from midstride.launch_files.roslaunch_values import server_file
 from midstride.model.component import DEFAULT_CONTAINER, ParameterValue
 from midstride.model.component_rules import MAX_NUMBER
 from midstride.model.lifecycle_management import Management
@@ -53,8 +56,10 @@ class SpecificationDraft:
         findings: ImportFindings,
         target: Path | None,
         management: Management = "manager",
+        ros: Ros = 2,
     ) -> None:
         self._name = name
+        self._ros = ros
         self._management = management
         self._launched = launched
         self._reader = reader
@@ -77,6 +82,7 @@ class SpecificationDraft:
         bodies = {node.role: self._body(node, parameters[node.role], nodes) for node in nodes}
         names = _component_names(nodes, bodies)
         lines = [*(f"# {on_one_line(line)}" for line in self._heading(imported_from)), f"system {self._name}", ""]
+        lines += [f"{line}\n" for line in self._hosts()]
         written: set[str] = set()
         for node in nodes:
             component = names[node.role]
@@ -94,7 +100,8 @@ class SpecificationDraft:
                     stated = [*self._respawn(node), *self._values(node, parameters[node.role].replaced)]
                     block = " {\n" + "\n".join(stated) + "\n}" if stated else ""
                     inside = f" in /{node.shares}" if node.shares else ""
-                    lines.append(f"node {node.name} : {names[node.role]}{inside}{block}")
+                    on = f" on {node.host}" if node.host else ""
+                    lines.append(f"node {node.name} : {names[node.role]}{inside}{on}{block}")
             lines.append("}\n" if namespace else "")
         lines += self._order(nodes)
         lines += [f"order {_path(one)} before {_path(other)}" for one, other in lifecycle.orders]
@@ -102,9 +109,32 @@ class SpecificationDraft:
             assert self._target is not None
             sections = (written_file(f"/{role}", values) for role, values in sorted(self._beside.items()))
             self.parameter_files[_beside(self._target)] = "".join(sections)
+        self._server()
         formatted = format_text("\n".join(lines))
         assert formatted.text is not None, [str(each) for each in formatted.diagnostics]
         return formatted.text
+
+    def _hosts(self) -> Iterator[str]:
+        """The statements of the hosts on which nodes run."""
+        for host in self._launched.hosts.values():
+            setup = f" setup {quoted(host.setup)}" if host.setup else ""
+            yield f"host {host.name} {{ ssh {quoted(host.ssh)}{setup} }}"
+
+    def _server(self) -> None:
+        """Put what no node has of ROS 1's parameter server into a file that `rosparam load` reads."""
+        of_places: dict[Span, list[str]] = {}
+        for name, found in self._launched.server.items():
+            of_places.setdefault(found.span, []).append(name)
+        where = "with `-o FILE`, it is in a file beside FILE"
+        if self._target is not None and of_places:
+            file = _beside(self._target, kind="rosparam")
+            values = {name: found.value for name, found in self._launched.server.items()}
+            self.parameter_files[file] = server_file(values)
+            where = f"it is in {file}: `rosparam load {file}` before `midstride up`"
+        for span, names in of_places.items():
+            few = ", ".join(f"`{name}`" for name in names[:4]) + (", …" if len(names) > 4 else "")
+            message = f"{few} is left out: no node has it, or the language has no such value; {where}"
+            self._findings.add("parameters", message, span)
 
     def _container(self, name: str, container: LaunchedContainer) -> Iterator[str]:
         """The statement of a container that several nodes share, with how its process is started and ended."""
@@ -140,6 +170,10 @@ class SpecificationDraft:
         if needed:
             options = " ".join(f"--include-path {shlex.quote(os.path.abspath(each))}" for each in sorted(needed))
             yield f"Needs files of other folders: `midstride {options} COMMAND …`"
+        if self._ros == 1:
+            yield f"Imported from {imported_from}, for `--backend ros1`. A launch file does not state ports: state"
+            yield "those of nodes that are to be replaced without a gap."
+            return
         yield f"Imported from {imported_from}. A launch file does not state ports: while the nodes run,"
         yield "`midstride capture --into FILE` adds what they publish and subscribe to."
 
@@ -250,7 +284,8 @@ class SpecificationDraft:
         notes = []
         if respawn.retries < 0:
             yield "respawn_max_retries unlimited"
-            notes.append("without end, as launch does unless a number is stated; `respawn_max_retries 5` would give up")
+            launcher = "roslaunch does" if self._ros == 1 else "launch does unless a number is stated"
+            notes.append(f"without end, as {launcher}; `respawn_max_retries 5` would give up")
         if respawn.delay < 1:
             notes.append(f"launch waits {respawn.delay:g} s each time, here the delay grows up to 30 s")
         if notes:
@@ -281,9 +316,9 @@ def _path(node: LaunchedNode) -> str:
     return f"/{node.role}"
 
 
-def _beside(target: Path, whose: str = "") -> str:
-    """The name of a parameter file that a specification names for what the language cannot state."""
-    return f"{target.stem}.parameters{whose}.yaml"
+def _beside(target: Path, whose: str = "", kind: str = "parameters") -> str:
+    """The name of a file beside a specification, for parameters that the language cannot state."""
+    return f"{target.stem}.{kind}{whose}.yaml"
 
 
 def system_name(path: str) -> str:

@@ -1,10 +1,10 @@
-"""``import``: a specification from a ROS 2 launch file."""
+"""``import``: a specification from a launch file."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import click
 
@@ -43,6 +43,11 @@ INCOMPLETE: Final = 3
     help="What becomes of composable nodes, which share the process of a container: they do; or one process each; or "
     "left out.",
 )
+@click.option(
+    "--ros",
+    type=click.Choice(["1", "2"]),
+    help="Read FILE for ROS 1 or ROS 2, instead of by what only one of them has.",
+)
 @json_option
 def import_command(
     file: Path,
@@ -52,18 +57,28 @@ def import_command(
     run_commands: bool,
     lifecycle: Management,
     containers: Containers,
+    ros: Literal["1", "2"] | None,
 ) -> int:
-    """Write a specification of what a launch file in XML or YAML starts, without ROS.
+    """Write a specification of what a launch file of ROS 2 (XML, YAML) or ROS 1 (XML) starts, without ROS.
 
-    What cannot be taken over is listed with its place. Packages are looked up in AMENT_PREFIX_PATH, and in source
-    trees below DIR, if that is given before the command: `midstride --include-path DIR import FILE`.
+    What cannot be taken over is listed with its place. Packages are looked up in AMENT_PREFIX_PATH, those of ROS 1 in
+    ROS_PACKAGE_PATH, and in source trees below DIR, if that is given before the command: `midstride --include-path
+    DIR import FILE`.
 
     Exit status 3 if something was left out; what was only assumed does not count.
     """
     require_file(file)
     require_new(output)
     imported = import_launch_file(
-        file, _arguments(arguments), os.environ, output, run_python, run_commands, lifecycle, containers
+        file,
+        _arguments(arguments),
+        os.environ,
+        output,
+        run_python,
+        run_commands,
+        lifecycle,
+        containers,
+        None if ros is None else 1 if ros == "1" else 2,
     )
     beside = {} if output is None else {output.with_name(name): text for name, text in imported.parameter_files.items()}
     for path in beside:
@@ -93,9 +108,10 @@ def import_command(
         click.echo(str(finding), err=True)
     click.echo(_summary(imported, output), err=True)
     if "package" in imported.findings.counts():
-        unset = "" if os.environ.get("AMENT_PREFIX_PATH") else ", which is not set"
+        variable = "ROS_PACKAGE_PATH" if imported.ros == 1 else "AMENT_PREFIX_PATH"
+        unset = "" if os.environ.get(variable) else ", which is not set"
         remedy = "source your workspace, or name its sources: `midstride --include-path DIR import …`"
-        click.echo(f"Packages are looked up in AMENT_PREFIX_PATH{unset}; {remedy}", err=True)
+        click.echo(f"Packages are looked up in {variable}{unset}; {remedy}", err=True)
     if left_out:
         click.echo(f"Left out: {_listed(left_out)}", err=True)
     return INCOMPLETE if left_out else 0
