@@ -1,7 +1,7 @@
 """What a launch file of ROS 1 comes to, in a form in which roslaunch and an import can be compared.
 
-As a program, where roslaunch can be imported (not on the machines of this project: its source is enough), it writes
-the answers of roslaunch: `python -m tests.launch_files.roslaunched ROSLAUNCH_FOLDER…`, with folders for `sys.path`.
+As a program, where roslaunch can be imported, this writes its answers, and starts nothing:
+`python -m tests.launch_files.roslaunched FOLDER…`, with folders for `sys.path`, such as that of roslaunch's source.
 """
 
 from __future__ import annotations

@@ -83,3 +83,16 @@ def test_commands_are_carried_out_by_an_option(launch: Path, capsys: pytest.Capt
     assert main(["import", str(launch)]) == 3
     assert main(["import", str(launch), "--run-commands"]) == 0
     assert "\"./a 'hi\\n'\"" in capsys.readouterr().out
+
+
+def test_a_launch_file_is_read_for_the_ros_that_is_asked_for(
+    launch: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    launch.write_text('<launch><node pkg="nix" type="a" exec="a" name="n"/></launch>')
+    assert main(["import", str(launch), "--ros", "1"]) == 0
+    printed = capsys.readouterr()
+    assert 'run "rosrun nix a" gate relay' in printed.out
+    assert "Packages are looked up in ROS_PACKAGE_PATH, which is not set;" in printed.err
+    assert main(["import", str(launch), "--ros", "2"]) == 3
+    assert 'run "a" package "nix" gate preload' in capsys.readouterr().out

@@ -183,6 +183,7 @@ def test_a_script_that_sets_the_environment_becomes_what_it_sources(
         ("/opt/ros/noetic/env.sh", {}, "/opt/ros/noetic/setup.bash", False),
         ("/home/robot/loader.bash", {}, None, True),
         ("env.sh", {}, None, True),
+        ("/opt/my ros/env.sh", {}, None, True),
         ("", {"ROS_VERSION": "1", "ROS_DISTRO": "noetic"}, "/opt/ros/noetic/setup.bash", False),
         ("", {"ROS_VERSION": "2", "ROS_DISTRO": "jazzy"}, None, True),
         ("", {}, None, True),
@@ -230,7 +231,7 @@ def test_only_machines_with_nodes_are_hosts_and_equal_ones_are_one(tmp_path: Pat
     assert "the machine `manager` is named `manager_1`" in said(found, "name")
 
 
-@pytest.mark.parametrize("address", ["-oProxyCommand=x", "a b", ""])
+@pytest.mark.parametrize("address", ["-oProxyCommand=x", "a b", "a\u200b", ""])
 def test_what_is_no_destination_is_left_out(tmp_path: Path, address: str) -> None:
     found = of_ros1(tmp_path, f'<machine name="arm" address="{address}"/>\n{ON_ARM}')
     assert not specification(found, tmp_path).hosts
@@ -251,9 +252,7 @@ def test_what_the_language_has_not_is_in_a_file_for_rosparam(tmp_path: Path) -> 
         "  none: null\nrobot_description: <robot/>\n"
     }
     description, others = said(found, "parameters")
-    assert description.startswith(
-        "`/robot_description` is left out: no node has it, or the language has no such value;"
-    )
+    assert description.startswith("left out, of no node or of no type of the language: `/robot_description`;")
     assert "`/n/empty`, `/n/mixed`, `/n/deep`, `/n/none`, …" in others and "`rosparam load imported.rosparam" in others
     without = import_launch_file(tmp_path / "robot.launch", {}, {}, None)
     assert without.parameter_files == {}
@@ -409,6 +408,19 @@ def test_values_without_end_are_refused(tmp_path: Path) -> None:
     assert "it has more than can be read" in said(found, "parameters")[0] and found.nodes == 1
     found = of_ros1(tmp_path, f"<param name='a' value=\"$(eval 'x' * 10 ** 9)\"/>{NODE}")
     assert found.nodes == 1 and len(said(found, "substitution")) == 1
+
+
+def test_names_that_are_too_long_are_cut_or_left_out(tmp_path: Path) -> None:
+    name = "x" * 300
+    found = of_ros1(
+        tmp_path,
+        f"""<machine name="{name}" address="10.77.0.2"/>
+        <node pkg="p" type="{name}" name="{name}" machine="{name}"><param name="{name}" value="1"/></node>
+        <node pkg="p" type="driver" name="n" ns="{name}"/>""",
+    )
+    [node] = specification(found, tmp_path).nodes.values()
+    assert node.role == "x" * 200 == node.host and node.component == f"X{'x' * 199}"
+    assert any(each.endswith("is not a namespace") for each in said(found, "name"))
 
 
 def test_the_namespace_and_arguments_of_the_command(tmp_path: Path) -> None:

@@ -48,27 +48,27 @@ class _Mark(NamedTuple):
 
 def dialect_of(root: Entity) -> Ros:
     """The dialect of a launch file; that of ROS 2 where nothing shows it. Raises UnknownValue where it mixes both."""
-    found = list(_marks(root.children))
-    for marks in ([mark for mark in found if mark.certain], found):
-        first = {mark.ros: mark for mark in reversed(marks)}
-        if len(first) == 1:
-            return marks[0].ros
-        if len(first) == 2:
-            if not marks[0].certain:
-                break
-            message = f"it mixes ROS 1 ({first[1].place}) and ROS 2 ({first[2].place}); `--ros 1` or `--ros 2` chooses"
-            raise UnknownValue(message, "include")
-    return 2
+    found = _decisive(root)
+    if len(found) == 2 and found[1].certain:
+        message = f"it mixes ROS 1 ({found[1].place}) and ROS 2 ({found[2].place}); `--ros 1` or `--ros 2` chooses"
+        raise UnknownValue(message, "include")
+    return 1 if list(found) == [1] else 2
 
 
 def require_dialect(root: Entity, ros: Ros) -> None:
     """Raise UnknownValue for a launch file that is of the other dialect only."""
+    found = _decisive(root)
+    if found and ros not in found:
+        other = 3 - ros
+        message = f"it is a launch file of ROS {other}; with `--ros {other}`, all of them are read as such"
+        raise UnknownValue(message, "include")
+
+
+def _decisive(root: Entity) -> dict[Ros, _Mark]:
+    """The first mark of each dialect; of those that are certain, if there are any."""
     marks = list(_marks(root.children))
-    certain = {mark.ros for mark in marks if mark.certain} or {mark.ros for mark in marks}
-    if certain and ros not in certain:
-        raise UnknownValue(
-            f"it is a launch file of ROS {3 - ros}; with `--ros {3 - ros}`, all of them are read as such", "include"
-        )
+    certain = [mark for mark in marks if mark.certain]
+    return {mark.ros: mark for mark in reversed(certain or marks)}
 
 
 def _marks(entities: list[Entity]) -> Iterator[_Mark]:

@@ -16,7 +16,9 @@ from midstride.launch_files.launch_grammar import BOTH_CONDITIONS, text_of
 from midstride.launch_files.substitutions import substituted, truth, typed_truth
 from midstride.launch_files.values import plain
 
-_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+# Of a name that is made here; with a number after it, it is still one of the language.
+MAX_NAME: Final = 200
+_NAME: Final = re.compile(rf"[A-Za-z_][A-Za-z0-9_]{{0,{MAX_NAME}}}")
 
 
 class ElementAttributes:

@@ -11,7 +11,7 @@ from midstride.lang.source import Span
 from midstride.launch_files.allowed_files import ReadableFiles
 from midstride.launch_files.context import Context
 from midstride.launch_files.dialects import Ros, require_dialect
-from midstride.launch_files.element_attributes import ElementAttributes
+from midstride.launch_files.element_attributes import MAX_NAME, ElementAttributes
 from midstride.launch_files.entity import ENDINGS, Entity, NotALaunchFile, read_entity
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.launch_grammar import text_of
@@ -130,7 +130,7 @@ class Interpreter(ElementAttributes, Generic[Scope]):
     def node_name(self, stated: str | None, program: str, span: Span) -> str:
         """The name of a node, which its program gives it where none is ``stated``; with the characters of a name."""
         text = program if stated is None else stated
-        name = _NOT_IN_NAMES.sub("_", text)
+        name = _NOT_IN_NAMES.sub("_", text)[:MAX_NAME]
         name = name if name[:1].isalpha() or name[:1] == "_" else f"node_{name}"
         if stated is None:
             message = f"the node has no name here, so its program gives it one; the specification calls it `{name}`"

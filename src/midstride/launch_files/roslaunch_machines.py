@@ -13,6 +13,7 @@ from typing import Final
 
 from midstride.lang.source import Span
 from midstride.lang.token_stream import RESERVED
+from midstride.launch_files.element_attributes import MAX_NAME
 from midstride.launch_files.findings import ImportFindings, UnknownValue
 from midstride.launch_files.roslaunch_grammar import refused
 from midstride.model.hosts import MANAGER, HostSpec
@@ -20,6 +21,7 @@ from midstride.model.hosts import MANAGER, HostSpec
 SSH_PORT: Final = 22
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _DESTINATION: Final = re.compile(r"[^\s-]\S*")
+_CATKIN: Final = re.compile(r"/(?:\S+/)?env\.sh")
 _SOURCED: Final = re.compile(r"(?:source|\.)\s+(['\"]?)(/[^\s'\"$;&|]+)\1")
 _EXPORTED: Final = re.compile(r"export\s+([A-Za-z_]\w*)=[^;&|]*")
 _RUNS: Final = re.compile(r"exec\s+(\"\$@\"|\$@)")
@@ -84,9 +86,9 @@ class Machines:
     def _host(self, machine: Machine, span: Span) -> str:
         """The name of the host that a machine becomes. Raises UnknownValue."""
         destination = f"{machine.user}@{machine.address}" if machine.user else machine.address
-        if not _DESTINATION.fullmatch(destination):
+        if not _DESTINATION.fullmatch(destination) or not destination.isprintable():
             raise UnknownValue(f"`{destination}` is no destination of `ssh`", "host")
-        name = _NOT_IN_NAMES.sub("_", machine.name).strip("_") or "host"
+        name = _NOT_IN_NAMES.sub("_", machine.name).strip("_")[:MAX_NAME] or "host"
         name = name if name[0].isalpha() else f"host_{name}"
         while name in RESERVED or name == MANAGER or name in self.hosts:
             name = f"{name}_1"
@@ -114,7 +116,7 @@ class Machines:
         except UnknownValue:
             lines = None
         beside = os.path.join(os.path.dirname(loader), "setup.bash")
-        if lines is None and os.path.basename(loader) == "env.sh" and os.path.isabs(loader):
+        if lines is None and _CATKIN.fullmatch(loader) and loader.isprintable():
             message = f"`{loader}` is taken for catkin's: `setup` is the file beside it; it may set more on the host"
             self._findings.add("host", message, span, left_out=False)
             return beside
@@ -144,6 +146,8 @@ def _is_own(address: str) -> bool:
         return True
     try:
         parsed = ipaddress.ip_address(address)
+        if parsed.is_loopback:
+            return True
         with socket.socket(socket.AF_INET6 if parsed.version == 6 else socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind((address, 0))  # only an address of this computer can be
     except (OSError, ValueError):

@@ -17,6 +17,7 @@ from midstride.lang.source import Span
 from midstride.lang.source_files import include_folders
 from midstride.lang.token_stream import RESERVED
 from midstride.launch_files.dialects import Ros
+from midstride.launch_files.element_attributes import MAX_NAME
 from midstride.launch_files.ending_programs import ends
 from midstride.launch_files.findings import ImportFindings
 from midstride.launch_files.launched_managers import with_one_manager
@@ -125,15 +126,15 @@ class SpecificationDraft:
         of_places: dict[Span, list[str]] = {}
         for name, found in self._launched.server.items():
             of_places.setdefault(found.span, []).append(name)
-        where = "with `-o FILE`, it is in a file beside FILE"
+        where = "with `-o FILE`, a file beside FILE has them"
         if self._target is not None and of_places:
             file = _beside(self._target, kind="rosparam")
             values = {name: found.value for name, found in self._launched.server.items()}
             self.parameter_files[file] = server_file(values)
-            where = f"it is in {file}: `rosparam load {file}` before `midstride up`"
+            where = f"`rosparam load {file}` sets them, before `midstride up`"
         for span, names in of_places.items():
             few = ", ".join(f"`{name}`" for name in names[:4]) + (", …" if len(names) > 4 else "")
-            message = f"{few} is left out: no node has it, or the language has no such value; {where}"
+            message = f"left out, of no node or of no type of the language: {few}; {where}"
             self._findings.add("parameters", message, span)
 
     def _container(self, name: str, container: LaunchedContainer) -> Iterator[str]:
@@ -249,7 +250,8 @@ class SpecificationDraft:
         for name, value in values.items():
             text = _value(value)
             long = isinstance(value, str) and (len(value) > MAX_INLINE or "\n" in value)
-            if text is not None and _PARAMETER.fullmatch(name) and (not long or self._target is None):
+            is_name = _PARAMETER.fullmatch(name) and len(name) <= MAX_NAME
+            if text is not None and is_name and (not long or self._target is None):
                 stated.append(f"{name} = {text}")
             elif self._target is not None and name.isprintable():
                 beside[name] = value
@@ -369,7 +371,7 @@ def _component_names(nodes: Sequence[LaunchedNode], bodies: dict[str, list[str]]
 
 def _camel(text: str) -> str:
     name = "".join(word[0].upper() + word[1:] for word in _WORD.findall(text)) or "Node"
-    return name if name[0].isalpha() else f"Node{name}"
+    return (name if name[0].isalpha() else f"Node{name}")[:MAX_NAME]
 
 
 def quoted(text: str) -> str | None:
