@@ -626,6 +626,16 @@ def test_the_name_of_an_executable_is_a_label_and_no_name_of_a_node(tmp_path: Pa
     assert "`./bin/other` is started as the node `own`" in second
 
 
+@pytest.mark.parametrize("value", ["!!bool x", "!!timestamp x", "!!int x", "!!float x"])
+def test_a_value_that_is_not_of_its_tag_is_no_yaml(tmp_path: Path, value: str) -> None:
+    file = tmp_path / "robot.launch.yaml"
+    file.write_text(f"launch:\n- arg: {{name: a, default: {value}}}\n")
+    with pytest.raises(SpecificationError, match=r"not valid YAML|a value that launch does not take"):
+        import_launch_file(file, {}, {}, None)
+    found = of_xml(tmp_path, f'<node exec="./a" name="a"><param name="p" value="{value}"/></node>')
+    assert dict(specification(found, tmp_path).instance("a").parameters) == {"p": value}
+
+
 def test_a_section_with_the_name_of_a_node_and_another_namespace_is_named_as_a_mistake(tmp_path: Path) -> None:
     values = "ros__parameters: {rate: 1}"
     (tmp_path / "a.yaml").write_text(f"n:\n  {values}\n/**/m:\n  {values}\nother:\n  {values}\n")

@@ -382,6 +382,56 @@ def test_launch_files_that_include_each_other_end(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("body", "kind", "message"),
+    [
+        (
+            '<node pkg="p" type="driver" name="n" cwd="home"/>',
+            "refused",
+            "`cwd` is `home`, and can be node or ROS_HOME",
+        ),
+        ('<node pkg="p" type="driver" name="n" respawn_delay="soon"/>', "refused", "is `soon`, and no number"),
+        ('<node pkg=" " type="driver" name="n"/>', "refused", "`pkg`, `type` or `name` of `node` is empty"),
+        ('<machine name="m" address="a"><env name="A" value="1"/></machine>', "refused", "`env` in `machine`"),
+        ('<machine name="m" address="a" ssh-port="x"/>', "refused", "`ssh-port` is `x`, and no number"),
+        ('<group clear_params="true"/>', "refused", "`clear_params` without `ns`"),
+        ('<param name="" value="1"/>', "refused", "the name of a `param` is empty"),
+        ('<param name="a" value="[" type="yaml"/>', "parameters", "is not valid YAML"),
+        ('<param name="a" value="!!timestamp x" type="yaml"/>', "parameters", "it has a value that cannot be read"),
+        ('<param name="a" value="$(env)"/>', "substitution", "`$(env)`: wrong number of arguments"),
+        ('<rosparam param="~a">1</rosparam>', "parameters", "`~a` would be a private parameter of roslaunch itself"),
+        ("<rosparam>{a: rad(x)}</rosparam>", "parameters", "it has a value that cannot be read"),
+        ("<rosparam>{a: [1, 2.5]}</rosparam>" + NODE.replace('"n"', '"x"'), "parameters", "left out, of no node"),
+        ("<rosparam>{n: {a: [1, 2.5]}}</rosparam>" + NODE, "parameters", "`/n/a` mixes integers and other numbers"),
+        ('<arg name="a" default="$(env NO)"/><param name="p" value="$(arg a)"/>', "substitution", "`NO` is not set"),
+        (
+            '<arg name="a" default="1" if="$(env NO)"/><param name="p" value="$(arg a)"/>',
+            "condition",
+            "whether `a` is set",
+        ),
+        ('<arg name="a" default="$(env NO)"/><param name="p" value="$(eval a)"/>', "substitution", "`NO` is not set"),
+    ],
+)
+def test_what_is_wrong_is_said_in_a_sentence(tmp_path: Path, body: str, kind: str, message: str) -> None:
+    found = of_ros1(tmp_path, body + '<remap from="a" to="b"/>')
+    assert [message in each for each in said(found, kind)].count(True) == 1, list(map(str, found.findings))
+
+
+def test_an_argument_without_a_known_value_is_passed_on_as_such(tmp_path: Path) -> None:
+    (tmp_path / "b.launch").write_text(
+        '<launch deprecated="use c.launch"><arg name="a"/><arg name="b" default="1"/>'
+        '<node pkg="p" type="driver" name="n" args="$(arg b)"/>'
+        '<node pkg="p" type="driver" name="m" args="$(arg a)"/></launch>'
+    )
+    found = of_ros1(
+        tmp_path, '<include file="$(find p)/../../b.launch"><arg name="a" value="$(env NO)"/></include>' + NODE
+    )
+    assert {each.message for each in found.findings if each.kind in {"substitution", "unsupported"}} >= {
+        "the launch file is deprecated: use c.launch",
+        "`args` of a node is left out: `a` has no known value: the environment variable `NO` is not set",
+    }
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("<launch>\n<machine>\n</launch>", r"line 3 is not valid XML: mismatched tag"),

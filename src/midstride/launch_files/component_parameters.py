@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from midstride.launch_files.context import ParametersGiven
+from midstride.launch_files.entity import NOT_OF_TAG
 
 
 def launched_values(given: ParametersGiven, text: str, role: str) -> Mapping[str, Any]:
@@ -33,7 +34,7 @@ def launched_values(given: ParametersGiven, text: str, role: str) -> Mapping[str
         if given.path is None:
             return values
         return {name: _read_again(value, yaml.safe_load) for name, value in values.items()}
-    except (yaml.YAMLError, TypeError, AttributeError, SyntaxError) as error:
+    except (yaml.YAMLError, *NOT_OF_TAG, SyntaxError) as error:
         raise ValueError(str(error)) from None
 
 

@@ -17,6 +17,8 @@ EntityValue: TypeAlias = "Plain | list[Plain]"
 MAX_NESTING: Final = 64
 MAX_VALUES: Final = 50_000
 YAML_ENDINGS: Final = (".yaml", ".yml")
+# What PyYAML raises, beside its own errors, for a value that is not of the type that its tag states.
+NOT_OF_TAG: Final = (ValueError, TypeError, AttributeError, LookupError, RecursionError)
 ENDINGS: Final = (".xml", ".launch", *YAML_ENDINGS)
 
 
@@ -129,7 +131,7 @@ def _tree(source: Source) -> Tree:
         loader = yaml.SafeLoader(source.text)
         root = loader.get_single_node()
         return ({}, Span(source, 0, 0)) if root is None else tree(root, 0, loader)
-    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+    except (yaml.YAMLError, *NOT_OF_TAG) as error:
         mark = getattr(error, "problem_mark", None)
         where = "it" if mark is None else f"line {mark.line + 1}"
         raise NotALaunchFile(f"{where} is not valid YAML") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 
 from midstride.launch_files.allowed_files import ReadableFiles
@@ -108,4 +109,4 @@ class RoslaunchInterpreter(RoslaunchNodes):
         self.include(path, inner)
         if not inner.replaces:
             for name in sorted(passed - inner.declared):
-                self.findings.refuse(f"the included file declares no argument `{name}`", entity.span)
+                self.findings.refuse(f"`{os.path.basename(path)}` declares no argument `{name}`", entity.span)

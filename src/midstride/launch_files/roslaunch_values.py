@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from midstride.launch_files.entity import MAX_NESTING, MAX_VALUES
+from midstride.launch_files.entity import MAX_NESTING, MAX_VALUES, NOT_OF_TAG
 from midstride.launch_files.expression import evaluate, shortened
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.roslaunch_grammar import refused
@@ -79,7 +79,7 @@ def read_yaml(text: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = "it" if mark is None else f"its line {mark.line + 1}"
         raise UnknownValue(f"{where} is not valid YAML", "parameters") from None
-    except (ValueError, TypeError, RecursionError, UnknownValue):
+    except (*NOT_OF_TAG, UnknownValue):
         raise UnknownValue("it has a value that cannot be read", "parameters") from None
 
 

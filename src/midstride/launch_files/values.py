@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final, TypeAlias
 
-from midstride.launch_files.entity import Entity, EntityValue, Plain
+from midstride.launch_files.entity import NOT_OF_TAG, Entity, EntityValue, Plain
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.substitutions import SubstitutionCall, Template, parse
 
@@ -185,5 +185,5 @@ def _yaml(text: str) -> Any:
         raise UnknownValue("the value is too long", "parameters")
     try:
         return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError, UnicodeError):
+    except (yaml.YAMLError, *NOT_OF_TAG):
         raise _NotYaml("the value is not valid YAML", "parameters") from None
