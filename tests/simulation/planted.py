@@ -450,7 +450,7 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_exits_repeated, "is said to have exited, and runs"),
         (_unreachable_taken_for_crashed, "is said to have exited, and runs"),
         (_left_on_host, "without faults"),
-        (_link_of_superseded, "is attached to"),
+        (_link_of_superseded, "a superseded manager has connected"),
         (_fallback_lease_not_checked, " both "),
         (_fallback_lease_not_awaited, " both "),
         (_silence_not_noticed, "has not arrived for more than"),

@@ -248,6 +248,8 @@ class SimulatedHosts(HostsBackend):
 
     def _link_changed(self, words: str) -> None:
         self.reached_at = self.clock.steady()  # a login is not enough: the line may be cut right after it
+        if self.life.is_back and (connected := [name for name, link in self._links.items() if link.connected]):
+            self.life.on_connected(f"has connected to {', '.join(connected)}")
         super()._link_changed(words)
 
     def _sockets(self) -> Path:

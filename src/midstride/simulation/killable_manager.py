@@ -40,6 +40,8 @@ class Life:
         self.cut_off: asyncio.Future[None] | None = None
         # What is called with each command that would change something, and with each process that it starts or ends.
         self.on_change: Callable[[str], None] = lambda words: None
+        # What is called with each connection to another host that it makes once it is no longer cut off.
+        self.on_connected: Callable[[str], None] = lambda words: None
 
     def kill(self) -> None:
         if self.alive:
@@ -59,6 +61,11 @@ class Life:
         """The back end may have connections that are not made through this one."""
         if (tell := getattr(self._inner, what, None)) is not None:
             tell()
+
+    @property
+    def is_back(self) -> bool:
+        """Return whether it has been cut off, and reaches the outside again: another manager may have the lease."""
+        return self.cut_off is not None and self.cut_off.done()
 
     def reconnect(self) -> None:
         if self.cut_off is not None and not self.cut_off.done():

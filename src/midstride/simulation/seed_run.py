@@ -449,6 +449,7 @@ class Simulation:
         """The new manager acts; where it could not take the lease, the first one stays away."""
         if not superseded.acts and self._system.lease() != superseded.lease:
             superseded.acts = True
+            superseded.life.on_connected = lambda words: self._violated(f"a superseded manager {words}")
             self._loop.call_later(self._random.choice((0.0, 0.05, 0.3)), superseded.life.reconnect)
 
     def _on_superseded_event(self, event: Event, superseded: _Superseded) -> None:
