@@ -328,6 +328,30 @@ def test_an_undo_that_is_owed_is_sent_once_the_component_can_be_reached_again() 
     play(body)
 
 
+def test_an_undo_that_is_owed_and_cannot_be_carried_out_stays_owed() -> None:
+    async def body(c: Control) -> None:
+        await c.client.connect("talker")
+        c.component.move()
+        await settled()
+        observe = c.component.state
+
+        def state() -> ComponentState:
+            found = observe()
+            c.component.revision += 1
+            return found
+
+        c.component.state = state  # type: ignore[method-assign]
+        c.client.owe("talker", GATE)
+        await c.client.send_owed()
+        assert c.component.carried_out == []
+        c.component.state = observe  # type: ignore[method-assign]
+        await c.client.send_owed()
+        await c.client.send_owed()
+        assert c.component.carried_out == ["gate"]
+
+    play(body)
+
+
 def test_undoing_gives_up_silently() -> None:
     async def body(c: Control) -> None:
         observe = c.component.state

@@ -280,10 +280,11 @@ class ComponentClient:
         self._owed.setdefault(instance, []).append(command)
 
     async def send_owed(self) -> None:
-        """Send the undos that are owed to components that can be reached again."""
+        """Send the undos that are owed to components that can be reached again. One that is not carried out stays."""
         for instance in [name for name in self._owed if self.life.responsive(name) is not None]:
             for command in self._owed.pop(instance):
-                await self.undo(instance, command)
+                if not await self.undo(instance, command) and not self.life.is_gone(instance):
+                    self.owe(instance, command)
 
     def forget_revision(self, instance: str) -> None:
         """The component's revision is unknown from now on: the next change observes it first."""
