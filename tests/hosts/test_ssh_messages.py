@@ -222,4 +222,24 @@ def test_a_connection_leaves_no_process_and_no_file(stand_in: Path) -> None:
     fault(stand_in, host)
     calls = [json.loads(line) for line in (stand_in / "calls").read_text().splitlines()]
     assert len(calls) == 1 and "BatchMode=yes" in calls[0]
-    assert not (stand_in / "arm.sock").exists() and not (stand_in / "arm.ctl").exists()
+    assert not [*stand_in.glob("arm.*sock"), *stand_in.glob("arm.*ctl")]
+
+
+def test_what_managers_before_have_left_is_removed_and_what_one_beside_uses_is_not(stand_in: Path) -> None:
+    """The `ssh` of a manager that is killed removes its control socket by its path, when the next one has begun."""
+    host = answering(stand_in, f"echo '{report(socket='/tmp/x/host.sock', components='/tmp/x/components')}'; sleep 5")
+    left, used = stand_in / "arm.999999999.ctl", stand_in / f"arm.{os.getppid()}.ctl"
+    for path in (left, used):
+        path.touch()
+
+    async def replaced() -> None:
+        connection = SshConnection(host, stand_in)
+        assert connection.control not in (left, used)
+        await connection.open(HostOrder(protocol=HOST_PROTOCOL, system="home", host="arm"))
+        assert connection.local.is_symlink() and not left.exists() and used.exists()
+        connection.local.unlink()
+        connection.local.touch()
+        await connection.close()
+        assert connection.local.exists(), "another manager has taken over"
+
+    asyncio.run(replaced())

@@ -43,8 +43,10 @@ class SshConnection:
 
     def __init__(self, host: HostSpec, folder: Path) -> None:
         self.host = host
-        self.control = folder / f"{host.name}.ctl"
+        # One for each manager: that of a killed one removes its socket, by this path, some time after the next began.
+        self.control = folder / f"{host.name}.{os.getpid()}.ctl"
         self.local = folder / f"{host.name}.sock"
+        self._forwarded: os.stat_result | None = None
         self.report: HostReport | None = None
         self._process: Process | None = None
         self._errors = bytearray()
@@ -68,7 +70,9 @@ class SshConnection:
 
     async def _start(self, order: HostOrder, environment: Mapping[str, str]) -> HostReport:
         words = ssh.connect_command(self.host, self.control, environment)
-        self.control.unlink(missing_ok=True)
+        for left in self.control.parent.glob(f"{self.host.name}.*.ctl"):
+            if left == self.control or not Path("/proc", left.suffixes[-2][1:]).exists():
+                left.unlink(missing_ok=True)
         try:
             self._process = await asyncio.create_subprocess_exec(
                 *words, stdin=PIPE, stdout=PIPE, stderr=PIPE, limit=LONGEST_LINE, start_new_session=True
@@ -129,6 +133,8 @@ class SshConnection:
             if ssh.refuses_forwarding(text + self.errors):
                 raise HostFault(ssh.forwarding_refused())
             raise HostFault(f"its socket could not be forwarded: {ssh.last_line(text) or 'ssh said nothing'}")
+        with contextlib.suppress(OSError):
+            self._forwarded = self.local.lstat()
 
     async def channel(self, name: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         """A new connection to the host process; ``name`` says what for. Raises Unreachable and CallTimeout."""
@@ -160,5 +166,7 @@ class SshConnection:
             await asyncio.gather(self._reading, return_exceptions=True)
         if process is not None:
             process._transport.close()  # type: ignore[attr-defined]  # its pipes, which the loop may not outlast
-        for path in (self.local, self.control):
-            path.unlink(missing_ok=True)
+        self.control.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            if self._forwarded is not None and os.path.samestat(self._forwarded, self.local.lstat()):
+                self.local.unlink()  # else it is the one of a manager that has taken over
