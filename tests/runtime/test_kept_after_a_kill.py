@@ -287,6 +287,41 @@ def test_state_outlasts_the_manager_where_more_is_replaced(strategy: Any, every:
     assert taken_up and all(said.startswith("what it has learned") for said in taken_up), taken_up
 
 
+def die_once_one_is_ended(manager: Manager, disk: MortalDisk) -> None:
+    """Have the manager be killed when it has ended a process."""
+    end = manager._launcher.end
+
+    async def ending(name: str, *, asked: bool = False, whole: bool = False) -> None:
+        await end(name)
+        disk.dead = True
+
+    manager._launcher.end = ending  # type: ignore[method-assign]
+
+
+def test_an_instance_that_has_taken_over_keeps_what_it_has_learned_since(tmp_path: Path) -> None:
+    """The one before has exported its state as it was removed, and that one has continued with it for some time."""
+    specification = stateful_talkers(tmp_path)
+    simulator, workspace, disk = Simulator(), Workspace(tmp_path / "system"), MortalDisk(when="after")
+    workspace.path.mkdir()
+
+    async def main() -> None:
+        first = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
+        await first.up()
+        die_once_one_is_ended(first, disk)
+        await until_killed(first, first.change(RESTART), disk)
+        with suppress(Killed):
+            await first.close()
+        program: Any = simulator.processes["talker_2"]._program
+        program._main.__dict__["state"] = "what it has learned"
+        disk.revive()
+        second = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
+        await second.up()
+        assert await last_said(simulator) == "what it has learned"
+        await second.close()
+
+    simulator.run(main())
+
+
 def test_state_that_waits_for_its_role_is_imported_by_a_later_start(tmp_path: Path) -> None:
     """The program cannot be started when the next manager comes up: what its predecessor has exported waits."""
     specification = stateful_talkers(tmp_path)
@@ -296,13 +331,7 @@ def test_state_that_waits_for_its_role_is_imported_by_a_later_start(tmp_path: Pa
     async def main() -> None:
         first = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
         await first.up()
-        end = first._launcher.end
-
-        async def ending(name: str, *, asked: bool = False, whole: bool = False) -> None:
-            await end(name)
-            disk.dead = True
-
-        first._launcher.end = ending  # type: ignore[method-assign]
+        die_once_one_is_ended(first, disk)
         await until_killed(first, first.change(changed(RESTART, strategy="paper")), disk)
         with suppress(Killed):
             await first.close()

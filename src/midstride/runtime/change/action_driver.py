@@ -344,13 +344,13 @@ class ActionDriver:
                     latest = self.system.life.latest(action.instance)
                     left = LeftState("" if latest is None else latest.state.uuid, exported.state)
                     self.system.exported[instance.role] = left
-                    self.save(instance.role, left)
+                    self._save_exported(instance, left)
                 elif exported.lost is not None:
                     self._state_lost(action.instance, exported.lost)
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
                 self._state_lost(action.instance, str(error))
         elif self.rolling_back and (kept := self.system.exported.get(instance.role)) is not None:
-            self.save(instance.role, kept)
+            self._save_exported(instance, kept)
         await self.change.parameters.leaving(action.instance, self.configuration)
         if instance.component.run is None:
             try:
@@ -364,6 +364,12 @@ class ActionDriver:
         else:
             await self.launcher.end(action.instance, whole=self.change.plan.change.ends_process_of(instance))
         await self.change.parameters.leaving(action.instance, self.configuration)
+
+    def _save_exported(self, leaving: Instance, left: LeftState) -> None:
+        """Keep state for the next manager, unless an instance of the role runs beside: that has worked on with it."""
+        beside = (each.name for each in self.configuration.instances_of(leaving.role) if each.name != leaving.name)
+        if all(self.system.life.is_gone(name) for name in beside):
+            self.save(leaving.role, left)
 
     def _lost_in_crash(self, coming: Instance) -> None:
         """Note that what comes again after a crash has not the state of the one that has exited."""
