@@ -21,7 +21,7 @@ from midstride.node.control.service_answering import Answering
 from midstride.node.control.shortfall import Shortfall
 from midstride.node.handover import cut, cut_protocol, lease
 from midstride.node.request_admission import GoalTurn, RequestAdmission
-from midstride.runtime.change import executor, reconciler, roll_back
+from midstride.runtime.change import action_driver, executor, reconciler, roll_back
 from midstride.runtime.handover import live_handover
 from midstride.runtime.hosts import host_link
 from midstride.runtime.hosts.call_forms import ExitedForm
@@ -422,6 +422,13 @@ def _fallback_lease_not_awaited(patch: pytest.MonkeyPatch) -> None:
     plant(patch, FallbackLeases, "_give_up", lambda self, lost, now: give_up(self, lost, now + 1e9))
 
 
+def _state_set_back(patch: pytest.MonkeyPatch) -> None:
+    """The next manager gives an instance that has taken over the state which the one before had as it was removed."""
+    plant(
+        patch, action_driver.ActionDriver, "_save_exported", lambda self, leaving, left: self.save(leaving.role, left)
+    )
+
+
 def _silence_not_noticed(patch: pytest.MonkeyPatch) -> None:
     """A component does not notice that an input with a rate is silent."""
     plant(patch, Shortfall, "exceeds", lambda self, periods, slow=True: False)
@@ -453,6 +460,7 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_link_of_superseded, "a superseded manager has connected"),
         (_fallback_lease_not_checked, " both "),
         (_fallback_lease_not_awaited, " both "),
+        (_state_set_back, "is set back to the state of"),
         (_silence_not_noticed, "has not arrived for more than"),
         (_write_not_durable, "another manager of this system has taken over"),
         (_lease_forgotten, "a superseded manager starts"),

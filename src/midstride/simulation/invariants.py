@@ -83,6 +83,8 @@ class Invariants:
     due: bool = False
     _changed: bool = False
     _publishers: dict[tuple[str, str], tuple[StandIn, float]] = field(default_factory=dict)
+    # By instance: its latest process that was heard, and when it last was (steady s).
+    _last_heard: dict[str, tuple[StandIn, float]] = field(default_factory=dict)
     # By topic and the two processes: a hand-over that is rolled back and made again is one to another process.
     _exchanged: dict[tuple[str, frozenset[int]], deque[float]] = field(default_factory=dict)
     _reported: set[str] = field(default_factory=set)
@@ -172,6 +174,7 @@ class Invariants:
         assert isinstance(owner, StandIn)
         self.heard[owner.instance] = self.heard.get(owner.instance, 0) + 1
         key, now = (writer.topic, owner.role), self.platform.time.steady()
+        self._last_heard[owner.instance] = owner, now
         before, at = self._publishers.get(key, (owner, now))
         period = self.oracle.period(writer.topic)
         if period and now - at > resumes_within(period) and self.uninterrupted():
@@ -192,6 +195,12 @@ class Invariants:
         most = EXCHANGES + 2 if late else EXCHANGES
         if len(times) >= most and now - times[-most] < EXCHANGES_WITHIN:
             self._violation(f"{before.instance} and {owner.instance} are both heard on {writer.topic}")
+
+    def on_import(self, process: StandIn, exporter: str) -> None:
+        """A process has imported state: what it has worked on with since the exporter last worked must not be lost."""
+        heard, at = self._last_heard.get(process.instance, (None, 0.0))
+        if heard is process and at > self._last_heard.get(exporter, (None, 0.0))[1]:
+            self._violation(f"{process.instance} is set back to the state of {exporter}, after which it has published")
 
     def _note_heard(self, process: StandIn, topic: str) -> None:
         """Note that a process which publishes is open, also where it reports so later: once its peer has answered."""

@@ -31,7 +31,12 @@ class Far(Protocol):
 
 
 class Platform(Simulator):
-    """``on_change(process)`` is called when a process has started, has published its state, or has ended."""
+    """``on_change(process)`` is called when a process has started, has published its state, or has ended.
+
+    ``on_import(process, exporter)`` is called when it has imported the state of the instance ``exporter``.
+    """
+
+    on_import: Callable[[StandIn, str], None]
 
     def __init__(self, on_change: Callable[[StandIn], None]) -> None:
         super().__init__(jitter=0.0005)
@@ -105,7 +110,7 @@ class Platform(Simulator):
 
     def _process(self, launch: Launch, log: Path | None) -> SimulatedProcess:
         process = StandIn(launch, self._pids, self.time, self._host, self._exited, log)
-        process.on_state = self._on_change
+        process.on_state, process.on_import = self._on_change, self.on_import
         if not launch.host:
             process.on = f"host {self._pids % self.hosts}" if self.hosts > 1 else MEMORY
         process.own_clock = self.clocks.get(launch.host, self.time)

@@ -17,7 +17,7 @@ to that call only. With ``every``, each fifth call writes, say, and no other. A 
 that its mode assumes, or a goal where none is in progress. A server responds with "instance n", but not while its mode
 is ``silent``; a goal takes ``goals`` seconds, and its result is such a text. The result of a goal is asked for at once;
 with ``later``, so many calls later, as ``fetch`` lists them for successive goals, and each goal whose number ``cancel``
-divides is cancelled at the first of them. The exported state lists what was received, called and
+divides is cancelled at the first of them. The exported state has the instance, and lists what was received, called and
 imported; by client, how many requests were sent, what was responded, and how many ended without a response; and by
 server, how many were served.
 """
@@ -64,8 +64,16 @@ class _Accepted:
 class Puppet:
     """``description`` as a component; :meth:`start` runs it."""
 
-    def __init__(self, description: dict[str, Any], type_of: Callable[[str], type] | None = None) -> None:
-        """``type_of``: the class of a message type, by default that of the installed ROS or of the simulator."""
+    def __init__(
+        self,
+        description: dict[str, Any],
+        type_of: Callable[[str], type] | None = None,
+        imported: Callable[[str], object] = lambda exporter: None,
+    ) -> None:
+        """``type_of``: the class of a message type, by default that of the installed ROS or of the simulator.
+
+        ``imported`` is called with the instance whose state has been imported.
+        """
         self._description = description
         self._type_of = type_of or message_class
         self._declared: model.ComponentSpec = decode_component(description["component"])
@@ -76,6 +84,7 @@ class Puppet:
         self._received: dict[str, list[str]] = {}
         self._calls: dict[str, int] = {}
         self._imported: Any = None
+        self._on_imported = imported
         # By server, how many requests or goals it has served; by client, those that it has sent.
         self._served: dict[str, int] = {}
         self._asked: dict[str, int] = {}
@@ -337,6 +346,7 @@ class Puppet:
     def _export(self) -> bytes:
         latest = {name: text_of(self._inputs[name].latest) for name in self._description.get("latest", [])}
         document = {
+            "exporter": self.component.instance,
             "received": self._received,
             "calls": self._calls,
             "imported": self._imported,
@@ -350,6 +360,7 @@ class Puppet:
 
     def _import(self, state: bytes) -> None:
         self._imported = json.loads(state)
+        self._on_imported(self._imported["exporter"])
 
     def _stop(self, stop: dict[str, Any]) -> None:
         if "sleep" in stop:

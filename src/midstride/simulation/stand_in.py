@@ -130,10 +130,10 @@ def _message_type(name: str) -> type:
 class _Program(SimulatedProgram):
     """Runs the puppet of a command without an interpreter's global state, which it does not touch."""
 
-    def __init__(self, launch: Launch, log: ProcessOutput) -> None:
+    def __init__(self, launch: Launch, log: ProcessOutput, imported: Callable[[str], object]) -> None:
         self.arguments = ()
         self.modules: dict[str, ModuleType] = {}
-        self._log = log
+        self._log, self._imported = log, imported
         self.key = launch.arguments[-1]
         self.component, described = _described[self.key]
         # The behaviour of each mode, which faults change while it runs.
@@ -149,7 +149,7 @@ class _Program(SimulatedProgram):
     def run(self) -> None:
         if self.component.once:  # it is done
             return
-        puppet = Puppet(self._description, _type)
+        puppet = Puppet(self._description, _type, self._imported)
         # Servers have no messages: which of them answers is another question.
         self.outputs = tuple(port for port in puppet.outputs.values() if not isinstance(port, ServerPort))
         self.clients = puppet.clients
@@ -160,9 +160,13 @@ class _Program(SimulatedProgram):
 
 
 class StandIn(ThreadlessProcess):
-    """The process of a stand-in. ``on_state`` is called when it has published its state."""
+    """The process of a stand-in. ``on_state`` is called when it has published its state.
+
+    ``on_import`` is called with the instance whose state it has imported.
+    """
 
     on_state: Callable[[StandIn], None]
+    on_import: Callable[[StandIn, str], None]
     # Decides which requests it answers, once its component has a host.
     admission: RequestAdmission | None = None
     # Since when it has reported that it answers (steady s); None while it does not. And when it has ended.
@@ -243,5 +247,6 @@ class StandIn(ThreadlessProcess):
         return self._thread.resume(work)  # its program does not touch the interpreter's state
 
     def _new_program(self, launch: Launch) -> SimulatedProgram:
-        self.role, self._stand_in = launch.node, _Program(launch, self.log)
+        self.role = launch.node
+        self._stand_in = _Program(launch, self.log, lambda exporter: self.on_import(self, exporter))
         return self._stand_in

@@ -46,6 +46,7 @@ class System:
         self.platform.time.follow(self.loop)
         self.invariants = Invariants(self.platform, Oracle(specifications))
         self.platform.network.on_publish = self.invariants.on_publish
+        self.platform.on_import = self.invariants.on_import
         self.platform.network.services.observer = self.invariants.requests
         self.platform.network.services.outside = self.invariants.oracle.served_outside
         self.loop.observer = self.invariants
