@@ -77,6 +77,24 @@ def not_done(step: AttachStep | DetachStep, manager: Manager, platform: Platform
     return f"{step.port} is {'' if attached else 'not '}attached to {step.topic} after `{step.action}` is done"
 
 
+def not_handed_over(step: HandoverStep, manager: Manager, platform: Platform) -> list[str]:
+    """The new sides of a hand-over that is done which have no endpoint, although their processes run."""
+    found = []
+    for swap in step.swaps:
+        if (ports := _ports(swap.new, platform)) is None:
+            continue
+        if manager.configuration.topic(swap.topic) not in ports:
+            found.append(f"{swap.new} is not on {swap.topic} after the hand-over is done")
+    return found
+
+
+def _ports(port: str, platform: Platform) -> Container[str] | None:
+    """The topics of a port of an instance that runs, and has reported."""
+    instance, _, name = port.rpartition(".")
+    process = platform.standing(instance)
+    return None if process is None or process.state is None else process.state.ports.get(name, {})
+
+
 def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> list[str]:
     """The new publishers of a hand-over that has failed which still have an endpoint on its topic.
 
@@ -87,11 +105,9 @@ def left_attached(step: HandoverStep, manager: Manager, platform: Platform) -> l
         instance, _, port = swap.new.rpartition(".")
         if swap.topic in manager.configuration.attached_to(PortRef(instance, port)):
             continue
-        process = platform.standing(instance)
-        if process is not None and process.state is not None:
-            topic = manager.configuration.topic(swap.topic)
-            if topic in process.state.ports.get(port, {}):
-                found.append(f"{swap.new} is still on {topic} after the hand-over has failed")
+        topic = manager.configuration.topic(swap.topic)
+        if topic in (_ports(swap.new, platform) or ()):
+            found.append(f"{swap.new} is still on {topic} after the hand-over has failed")
     return found
 
 

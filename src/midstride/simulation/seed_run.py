@@ -21,7 +21,7 @@ from midstride.runtime.hosts.host_link import LONGEST_PAUSE
 from midstride.runtime.manager import Manager
 from midstride.runtime.process.component_client import REOPEN_INTERVAL
 from midstride.runtime.records.reports import Event
-from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, uncaught
+from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, not_handed_over, uncaught
 from midstride.simulation.faults import (
     DEAFENING,
     HARMLESS,
@@ -417,6 +417,9 @@ class Simulation:
             self._since.setdefault(self._step, 0)
         elif event.kind == "step_done" and isinstance(event.step, (AttachStep, DetachStep)):
             if (words := not_done(event.step, self._manager, self._platform, self._fenced)) is not None:
+                self._violated(words)
+        elif event.kind == "step_done" and isinstance(event.step, HandoverStep):
+            for words in not_handed_over(event.step, self._manager, self._platform):
                 self._violated(words)
         elif event.kind == "fenced" and event.instance:
             self._fenced.add(event.instance)

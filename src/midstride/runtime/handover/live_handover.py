@@ -182,7 +182,7 @@ class LiveHandover:
             if self._published:
                 attempt = self._await_cuts
             else:
-                await self._undo()
+                await self._undo_exchange()
                 self._cuts = []
                 attempt = partial(self._agree, (max(LEADS[-1], min(LONGEST_LEAD, self._deadline - self.fences.now())),))
 
@@ -502,11 +502,15 @@ class LiveHandover:
                 elif not undone:  # else it would be part of this cut for ever
                     self.client.owe(side, cancel)
 
-    async def _undo(self) -> None:
+    async def _undo_exchange(self) -> None:
         """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
         await self.fences.lift({old for old, _ in self._pairs})
         await self._cancel(self._cuts)
         await self._new.detach()
+
+    async def _undo(self) -> None:
+        """Undo the exchange, and detach the new servers."""
+        await self._undo_exchange()
         for swap in self._services:
             detach = commands.DetachCommand(port=swap.new.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
             await self.client.undo(swap.new.instance, detach)
