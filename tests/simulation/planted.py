@@ -233,6 +233,19 @@ def _handover_not_undone(patch: pytest.MonkeyPatch) -> None:
     plant(patch, live_handover.LiveHandover, "_undo", undo)
 
 
+def _servers_taken_off(patch: pytest.MonkeyPatch) -> None:
+    """A hand-over that tries again takes its new servers off their services (found on real ROS 2)."""
+    undo = live_handover.LiveHandover._undo_exchange
+
+    async def too_much(self: Any) -> None:
+        await undo(self)
+        for swap in self._services:
+            detach = commands.DetachCommand(port=swap.new.port, topic=self._topic(swap))
+            await self.client.undo(swap.new.instance, detach)
+
+    plant(patch, live_handover.LiveHandover, "_undo_exchange", too_much)
+
+
 def _never_resumes(patch: pytest.MonkeyPatch) -> None:
     """The old side of a cut waits for the new one for ever."""
     plant(patch, cut_protocol.CutOutTask, "_given_up", lambda self: False)
@@ -480,7 +493,8 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_orphans_left, "is open on"),
         (_redundant_left, " both "),
         (_cut_not_cancelled, "is part of another cut"),
-        (_handover_not_undone, "although nothing has failed"),
+        (_handover_not_undone, "after the hand-over has failed"),
+        (_servers_taken_off, "after the hand-over is done"),
         (_never_resumes, "is closed after a roll-back"),
         (_repetition_carried_out, "and repeated at"),
         (_pending_forgotten, "the running system is not valid"),
@@ -499,6 +513,13 @@ PLANTED: Final[dict[str, tuple[Plant, str]]] = {
         (_results_not_looked_for, "is not known"),
         (_cancelled_by_the_wrong_one, "the cancelling of a goal"),
     )
+}
+
+# The built-in system on which these are found; the others on whichever a seed draws.
+SYSTEMS: Final = {
+    "fallback lease not checked": "leased",
+    "fallback lease not awaited": "leased",
+    "servers taken off": "docking",
 }
 
 

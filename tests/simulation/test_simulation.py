@@ -13,7 +13,7 @@ from midstride.plan.request import PlanRequest
 from midstride.simulation.campaign import Summary, simulate, simulate_many
 from midstride.simulation.faults import KINDS, OF_LINKS
 from midstride.simulation.scenario import rehearsed
-from tests.simulation.planted import planted
+from tests.simulation.planted import SYSTEMS, planted
 
 # How many seeds a test runs. `make test` runs the first of these tests, `make test-all` three, `make test-long` all.
 SEEDS = 50
@@ -68,11 +68,15 @@ print([run.digest for run in simulate_many({seeds!r})])
         # Of the system with services and ROS actions.
         ("both answer", 80),
         ("answered again", 80),
+        ("servers taken off", 200),
+        # Of components that keep state.
+        ("state set back", 0),
     ],
 )
 def test_a_fault_in_our_own_code_is_found(name: str, first: int) -> None:
     with planted(name) as words:
-        assert any(words in problem for run in simulate_many(range(first, first + 100)) for problem in run.problems)
+        runs = simulate_many(range(first, first + 100), name=SYSTEMS.get(name))
+        assert any(words in problem for run in runs for problem in run.problems)
 
 
 @pytest.mark.parametrize(
