@@ -38,6 +38,11 @@ def internal_error(error: BaseException) -> str:
     return f"internal error: {type(error).__name__}: {error}"
 
 
+# What PyYAML raises besides its own errors: for a value that is not of the type that its tag states, for a date that
+# does not exist, or for thousands of brackets.
+NOT_OF_TAG = (ValueError, TypeError, AttributeError, LookupError, RecursionError)
+
+
 class MidstrideError(Exception):
     """The base class of everything that Midstride raises on purpose. ``str(error)`` is a message for the user."""
 

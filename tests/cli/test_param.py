@@ -239,6 +239,8 @@ def test_names_of_parameters_are_completed(tuned: Midstride) -> None:
         ("2026-11-22", "2026-11-22"),
         ("null", "null"),
         ("2026-13-01", "2026-13-01"),
+        ("!!bool x", "!!bool x"),
+        ("!!timestamp x", "!!timestamp x"),
         ("[]", []),
     ],
 )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midstride.cli import shell_completion
+from midstride.errors import NOT_OF_TAG
 
 if TYPE_CHECKING:  # completion must not wait for it
     from midstride.model.component import ParameterValue
@@ -116,7 +117,7 @@ def parse_value(text: str) -> Any:
 
     try:
         value = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError):  # a date that does not exist; thousands of brackets
+    except (yaml.YAMLError, *NOT_OF_TAG):
         return text
     if isinstance(value, list):
         return value if not value or {type(member) for member in value} in ({bool}, {int}, {float}, {str}) else text

@@ -11,8 +11,8 @@ import ast
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from midstride.errors import NOT_OF_TAG
 from midstride.launch_files.context import ParametersGiven
-from midstride.launch_files.entity import NOT_OF_TAG
 
 
 def launched_values(given: ParametersGiven, text: str, role: str) -> Mapping[str, Any]:

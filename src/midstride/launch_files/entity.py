@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal, TypeAlias
 from xml.parsers import expat
 
+from midstride.errors import NOT_OF_TAG
 from midstride.lang.source import Source, Span
 
 Plain: TypeAlias = "str | bool | int | float"
@@ -17,8 +18,6 @@ EntityValue: TypeAlias = "Plain | list[Plain]"
 MAX_NESTING: Final = 64
 MAX_VALUES: Final = 50_000
 YAML_ENDINGS: Final = (".yaml", ".yml")
-# What PyYAML raises, beside its own errors, for a value that is not of the type that its tag states.
-NOT_OF_TAG: Final = (ValueError, TypeError, AttributeError, LookupError, RecursionError)
 ENDINGS: Final = (".xml", ".launch", *YAML_ENDINGS)
 
 

@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from midstride.launch_files.entity import MAX_NESTING, MAX_VALUES, NOT_OF_TAG
+from midstride.errors import NOT_OF_TAG
+from midstride.launch_files.entity import MAX_NESTING, MAX_VALUES
 from midstride.launch_files.expression import evaluate, shortened
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.roslaunch_grammar import refused

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final, TypeAlias
 
-from midstride.launch_files.entity import NOT_OF_TAG, Entity, EntityValue, Plain
+from midstride.errors import NOT_OF_TAG
+from midstride.launch_files.entity import Entity, EntityValue, Plain
 from midstride.launch_files.findings import UnknownValue
 from midstride.launch_files.substitutions import SubstitutionCall, Template, parse
 

@@ -21,7 +21,14 @@ from midstride.runtime.hosts.host_link import LONGEST_PAUSE
 from midstride.runtime.manager import Manager
 from midstride.runtime.process.component_client import REOPEN_INTERVAL
 from midstride.runtime.records.reports import Event
-from midstride.simulation.convergence import closed_outputs, differences, left_attached, not_done, not_handed_over, uncaught
+from midstride.simulation.convergence import (
+    closed_outputs,
+    differences,
+    left_attached,
+    not_done,
+    not_handed_over,
+    uncaught,
+)
 from midstride.simulation.faults import (
     DEAFENING,
     HARMLESS,

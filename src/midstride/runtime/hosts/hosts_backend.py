@@ -56,7 +56,7 @@ log = logging.getLogger(__name__)
 # How long a start may take on another host, until the process is there, and the end of one besides its times (s).
 START_SECONDS: Final = 60.0
 END_SECONDS: Final = 40.0
-# The room for the name of a host and a process in a socket's path, and for what OpenSSH appends as it makes one (bytes).
+# The room in a socket's path for the name of a host, a process, and what OpenSSH appends as it makes one (bytes).
 _LONGEST_NAME: Final = 61
 # A path that OpenSSH takes as it is.
 _PLAIN: Final = re.compile(r"[A-Za-z0-9_./@+=,-]+")

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import StartFailed
+from midstride.errors import NOT_OF_TAG, StartFailed
 from midstride.model.instance_names import full_name, split_name
 from midstride.runtime.backend_protocol import Launch
 
@@ -71,7 +71,7 @@ def _in_yaml(text: str) -> object:
 
     try:
         return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError):  # such as of a date that there is not
+    except (yaml.YAMLError, *NOT_OF_TAG):
         return None
 
 
