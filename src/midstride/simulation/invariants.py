@@ -85,6 +85,8 @@ class Invariants:
     _publishers: dict[tuple[str, str], tuple[StandIn, float]] = field(default_factory=dict)
     # By instance: its latest process that was heard, and when it last was (steady s).
     _last_heard: dict[str, tuple[StandIn, float]] = field(default_factory=dict)
+    # By instance: when it has last imported state (steady s).
+    _imported: dict[str, float] = field(default_factory=dict)
     # By topic and the two processes: a hand-over that is rolled back and made again is one to another process.
     _exchanged: dict[tuple[str, frozenset[int]], deque[float]] = field(default_factory=dict)
     _reported: set[str] = field(default_factory=set)
@@ -197,10 +199,15 @@ class Invariants:
             self._violation(f"{before.instance} and {owner.instance} are both heard on {writer.topic}")
 
     def on_import(self, process: StandIn, exporter: str) -> None:
-        """A process has imported state: what it has worked on with since the exporter last worked must not be lost."""
+        """A process has imported state: what it has worked on with since must not be lost.
+
+        The exporter has all that was published before it has imported state itself, or has published.
+        """
         heard, at = self._last_heard.get(process.instance, (None, 0.0))
-        if heard is process and at > self._last_heard.get(exporter, (None, 0.0))[1]:
+        known = max(self._last_heard.get(exporter, (None, 0.0))[1], self._imported.get(exporter, 0.0))
+        if heard is process and at > known:
             self._violation(f"{process.instance} is set back to the state of {exporter}, after which it has published")
+        self._imported[process.instance] = self.platform.time.steady()
 
     def _note_heard(self, process: StandIn, topic: str) -> None:
         """Note that a process which publishes is open, also where it reports so later: once its peer has answered."""
