@@ -28,7 +28,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "prove": ("prove", "prove that every action is safe, for systems of any size"),
         "generate": ("generate", "generate node skeletons, launch and package files"),
         "export": ("design", "print a specification as JSON"),
-        "import": ("import_command", "write a specification of what a ROS 2 launch file starts"),
+        "import": ("import_command", "write a specification of what a launch file starts"),
         "capture": ("capture", "add the ports of running ROS 2 nodes to a specification"),
     },
     "Running system": {
