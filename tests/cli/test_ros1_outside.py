@@ -23,7 +23,7 @@ topic /chat  : Words
 topic /chat2 : Words
 component Talker {
   run "python3 talker.py" gate relay
-  parameters { word = "hello" }
+  parameters { say.word = "hello" }
   output out as chatter
   functionality talk { produces out  mode normal { guarantee out : Words }  mode degraded { } }
 }
