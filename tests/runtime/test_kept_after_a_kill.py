@@ -287,8 +287,9 @@ def test_state_outlasts_the_manager_where_more_is_replaced(strategy: Any, every:
     assert taken_up and all(said.startswith("what it has learned") for said in taken_up), taken_up
 
 
-def die_once_one_is_ended(manager: Manager, disk: MortalDisk) -> None:
-    """Have the manager be killed when it has ended a process."""
+async def killed_as_one_is_ended(manager: Manager, request: PlanRequest, disk: MortalDisk) -> None:
+    """Bring the system up, and have the manager be killed when its change has ended a process."""
+    await manager.up()
     end = manager._launcher.end
 
     async def ending(name: str, *, asked: bool = False, whole: bool = False) -> None:
@@ -296,6 +297,10 @@ def die_once_one_is_ended(manager: Manager, disk: MortalDisk) -> None:
         disk.dead = True
 
     manager._launcher.end = ending  # type: ignore[method-assign]
+    await until_killed(manager, manager.change(request), disk)
+    with suppress(Killed):
+        await manager.close()
+    disk.revive()
 
 
 def test_an_instance_that_has_taken_over_keeps_what_it_has_learned_since(tmp_path: Path) -> None:
@@ -306,14 +311,9 @@ def test_an_instance_that_has_taken_over_keeps_what_it_has_learned_since(tmp_pat
 
     async def main() -> None:
         first = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
-        await first.up()
-        die_once_one_is_ended(first, disk)
-        await until_killed(first, first.change(RESTART), disk)
-        with suppress(Killed):
-            await first.close()
+        await killed_as_one_is_ended(first, RESTART, disk)
         program: Any = simulator.processes["talker_2"]._program
         program._main.__dict__["state"] = "what it has learned"
-        disk.revive()
         second = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
         await second.up()
         assert await last_said(simulator) == "what it has learned"
@@ -330,12 +330,7 @@ def test_state_that_waits_for_its_role_is_imported_by_a_later_start(tmp_path: Pa
 
     async def main() -> None:
         first = Manager(specification, simulator, workspace, EXAMPLES / "talker", disk=disk)
-        await first.up()
-        die_once_one_is_ended(first, disk)
-        await until_killed(first, first.change(changed(RESTART, strategy="paper")), disk)
-        with suppress(Killed):
-            await first.close()
-        disk.revive()
+        await killed_as_one_is_ended(first, changed(RESTART, strategy="paper"), disk)
         assert disk.saved(workspace).exported["talker"].state == b"the old one's"
         program = (tmp_path / "Talker.py").read_text()
         (tmp_path / "Talker.py").write_text("raise SystemExit('no camera')\n")

@@ -107,7 +107,7 @@ class Machines:
         loader = machine.loader
         if loader is None:
             if self._environment.get("ROS_VERSION") != "1":
-                message = f"`{machine.name}` has no `env-loader`, so roslaunch takes that of its own ROS: state `setup`"
+                message = f"`{machine.name}` has no `env-loader`: roslaunch would use its own; state `setup`"
                 self._findings.add("host", message, span)
                 return None
             loader = f"/opt/ros/{self._environment.get('ROS_DISTRO', '')}/env.sh"

@@ -61,10 +61,10 @@ def _with_packages(text: str, context: Context) -> str:
             done += match[0]
             continue
         path = text.partition(" ")[0]
-        program = _executable(context, words[1], path)
-        done, text = (
-            (f"{done}{program}", text[len(path) :]) if program else (done + context.packages.share(words[1]), text)
-        )
+        if program := _executable(context, words[1], path):
+            done, text = f"{done}{program}", text[len(path) :]
+        else:
+            done += context.packages.share(words[1])
     return done + text
 
 

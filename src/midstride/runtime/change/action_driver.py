@@ -208,7 +208,7 @@ class ActionDriver:
         standby, topics = imports or self.system.has_instance(instance.role), self._topics(instance)
         await self.change.parameters.ask(instance)
         start_values = self.change.parameters.start_values
-        others = [each.name for each in self.configuration.instances_of(instance.role) if each.name != instance.name]
+        others = self._beside(instance)
         predecessor = others[0] if others and not self.system.life.is_gone(others[0]) else ""
         return await self.launcher.start(
             instance,
@@ -218,6 +218,10 @@ class ActionDriver:
             predecessor=predecessor,
             returns=self.rolling_back,
         )
+
+    def _beside(self, instance: Instance) -> list[str]:
+        """The other instances of its role."""
+        return [each.name for each in self.configuration.instances_of(instance.role) if each.name != instance.name]
 
     def _topics(self, instance: Instance) -> dict[str, str]:
         """The topic of each port of a component whose program has to know them when it starts."""
@@ -367,8 +371,7 @@ class ActionDriver:
 
     def _save_exported(self, leaving: Instance, left: LeftState) -> None:
         """Keep state for the next manager, unless an instance of the role runs beside: that has worked on with it."""
-        beside = (each.name for each in self.configuration.instances_of(leaving.role) if each.name != leaving.name)
-        if all(self.system.life.is_gone(name) for name in beside):
+        if all(map(self.system.life.is_gone, self._beside(leaving))):
             self.save(leaving.role, left)
 
     def _lost_in_crash(self, coming: Instance) -> None:
